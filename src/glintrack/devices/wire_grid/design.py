@@ -103,7 +103,7 @@ class WireGridDesign(Design):
 
     @property
     def _flare_um(self) -> float:
-        """How much wider the base is than the middle."""
+        """Excess of the base's width over the middle's."""
         return self.wire_height_nm * 1e-3 / math.tan(math.radians(self.wall_angle_deg))
 
     @property

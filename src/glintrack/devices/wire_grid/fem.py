@@ -6,8 +6,8 @@ fields e^(−iωt), light travels toward +z. The mirror plane x = 0 halves the s
 surround it and the plate runs on through them. A line of sources across the input port |x| < port/2,
 z = −depth/2, sends out a wave of amplitude 1.
 
-Run as a module it solves wavelengths of one pixel for `table`, a request and an answer a line. A process of
-its own holds NGSolve and OpenBLAS to one thread before they load, whatever the caller has imported.
+Run as a module it solves wavelengths of one pixel for `table`, one request and one answer per line. A
+separate process limits NGSolve and OpenBLAS to one thread before they load.
 
 Notes
 -----
@@ -17,6 +17,7 @@ radiates a plane wave of amplitude 1 to both sides.
 
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any, Literal
@@ -85,13 +86,13 @@ class PortField:
         """Mean field: the amplitude of the wave that leaves straight on. [1]"""
         return complex(np.sum(self.weight * self.electric) / np.sum(self.weight))
 
-    def shared_power(self, other: "PortField") -> complex:
-        """Power of interference ½ Σ weight (E H'* + H E'*); with itself its real part is `power`. [µm]"""
+    def interference_power(self, other: "PortField") -> complex:
+        """Interference power ½ Σ weight (E H'* + H E'*); with itself its real part is `power`. [µm]"""
         mixed = self.electric * other.magnetic.conj() + self.magnetic * other.electric.conj()
         return complex(0.5 * np.sum(self.weight * mixed))
 
     def __sub__(self, other: "PortField") -> "PortField":
-        """The scattered field: this one less the incident one."""
+        """Scattered field: this one less the incident one."""
         return PortField(self.electric - other.electric, self.magnetic - other.magnetic, self.weight)
 
 
@@ -107,78 +108,69 @@ class Solution:
 
 def grid_space(design: WireGridDesign, wavelength_um: float) -> Space:
     """Mesh the grid in its plate for a wavelength; the mirror plane cuts the central wire or gap."""
-    half_aperture, half_port = design.aperture_um / 2, design.port_um / 2
-    z_in, z_out, thick = -design.depth_um / 2, design.depth_um / 2, design.wire_height_nm * 1e-3
-    wires = _wires(design, wavelength_um)
-    gap = _rectangle(0, half_aperture, 0, thick, "gap")
-    for wire in wires:
-        gap = gap - wire
-    gap.faces.name = "gap"
-    faces = [gap, *wires]
-    h = design.fem.air_element_at(wavelength_um)
-    for x0, x1, side in ((0, half_port, ""), (half_port, half_port + design.pml_um, "pml_")):
-        faces += [
-            _rectangle(x0, x1, z_in - design.pml_um, z_in, "pml_air", h),
-            _rectangle(x0, x1, z_in, 0, side + "air", h),
-            _rectangle(x0, x1, thick, z_out, side + "exit", h),
-            _rectangle(x0, x1, z_out, z_out + design.pml_um, "pml_exit", h),
-        ]
-    shape = occ.Glue(faces)
-    edge = half_port + design.pml_um
-
-    def name(x: float, z: float, flat: bool) -> str:
-        if flat and _same(z, z_in) and x < half_port:
-            return "input"
-        if x > half_aperture - _ON_LINE_UM and -_ON_LINE_UM < z < thick + _ON_LINE_UM:
-            if not flat or x > half_aperture:
-                return "plate" if not _same(x, edge) else "outer"
-        if _same(z, z_in - design.pml_um) or _same(z, z_out + design.pml_um) or _same(x, edge):
-            return "outer"
-        return "inner"
-
-    return Space(_mesh(shape, name, h), half_port, z_in, z_out, design.substrate_index**2)
+    d, count = design.period_nm * 1e-3, (design.wires + 1) // 2
+    first = 0.0 if design.wires % 2 else d / 2
+    wires = [_wire(first + i * d, design, wavelength_um) for i in range(count)]
+    half_port, half_aperture = design.port_um / 2, design.aperture_um / 2
+    return _space(design, wavelength_um, half_port, wires, half_aperture)
 
 
 def free_space(design: WireGridDesign, wavelength_um: float) -> Space:
     """Mesh the same space with neither grid nor plate nor substrate: the paper's "grid removed"."""
-    half_port, pml = design.port_um / 2, design.pml_um
-    z_in, z_out = -design.depth_um / 2, design.depth_um / 2
-    h = design.fem.air_element_at(wavelength_um)
-    faces = []
-    for x0, x1, side in ((0, half_port, ""), (half_port, half_port + pml, "pml_")):
-        faces += [
-            _rectangle(x0, x1, z_in - pml, z_in, "pml_air", h),
-            _rectangle(x0, x1, z_in, z_out, side + "air", h),
-            _rectangle(x0, x1, z_out, z_out + pml, "pml_air", h),
-        ]
-
-    def name(x: float, z: float, flat: bool) -> str:
-        if flat and _same(z, z_in) and x < half_port:
-            return "input"
-        outer = _same(z, z_in - pml) or _same(z, z_out + pml) or _same(x, half_port + pml)
-        return "outer" if outer else "inner"
-
-    return Space(_mesh(occ.Glue(faces), name, h), half_port, z_in, z_out, 1.0)
+    return _space(design, wavelength_um, design.port_um / 2)
 
 
 def unit_cell(design: WireGridDesign, wavelength_um: float) -> Space:
-    """Mesh half a period of the infinite grid between two mirror planes, to hold against grating theory."""
+    """Mesh half a period of the infinite grid between two mirror planes, to compare with grating theory."""
     half = design.period_nm * 5e-4
+    return _space(design, wavelength_um, half, [_wire(0.0, design, wavelength_um)], half, periodic=True)
+
+
+def _space(
+    design: WireGridDesign,
+    wavelength_um: float,
+    half_um: float,
+    wires: Sequence[Any] = (),
+    half_gap_um: float = np.inf,
+    periodic: bool = False,
+) -> Space:
+    """Mesh wires in a gap between two ports, with absorbing layers, and name every edge."""
     z_in, z_out, thick = -design.depth_um / 2, design.depth_um / 2, design.wire_height_nm * 1e-3
-    h, pml = min(design.fem.air_element_at(wavelength_um), half), design.pml_um
-    wire = _wire(0.0, design, design.fem.wire_element_at(wavelength_um))
-    gap = _rectangle(0, half, 0, thick, "gap") - wire
-    gap.faces.name = "gap"
-    faces = [gap, wire, _rectangle(0, half, z_in - pml, z_in, "pml_air", h)]
-    faces += [_rectangle(0, half, z_in, 0, "air", h), _rectangle(0, half, thick, z_out, "exit", h)]
-    faces += [_rectangle(0, half, z_out, z_out + pml, "pml_exit", h)]
+    h, pml, faces = design.fem.air_element_at(wavelength_um), design.pml_um, []
+    stack = [(z_in - pml, z_in, "pml_air"), (z_in, z_out, "air"), (z_out, z_out + pml, "pml_air")]
+    if len(wires):
+        gap = _rectangle(0, half_gap_um, 0, thick, "gap")
+        for wire in wires:
+            gap = gap - wire
+        gap.faces.name = "gap"
+        faces = [gap, *wires]
+        stack[1:] = [(z_in, 0, "air"), (thick, z_out, "exit"), (z_out, z_out + pml, "pml_exit")]
+    columns = [(0.0, half_um, "")]
+    if periodic:
+        h = min(h, half_um)
+    else:
+        columns.append((half_um, half_um + pml, "pml_"))
+    for x0, x1, side in columns:
+        for z0, z1, material in stack:
+            name = material if material.startswith("pml_") else side + material
+            faces.append(_rectangle(x0, x1, z0, z1, name, h))
+    outermost = np.inf if periodic else half_um + pml
 
-    def name(x: float, z: float, flat: bool) -> str:
-        if flat and _same(z, z_in):
+    def edge_name(x: float, z: float, flat: bool) -> str:
+        if flat and _same(z, z_in) and x < half_um:
             return "input"
-        return "outer" if _same(z, z_in - pml) or _same(z, z_out + pml) else "inner"
+        if not periodic and x > half_gap_um - _ON_LINE_UM and -_ON_LINE_UM < z < thick + _ON_LINE_UM:
+            if not flat or x > half_gap_um:
+                return "plate" if not _same(x, outermost) else "outer"
+        outer = _same(z, z_in - pml) or _same(z, z_out + pml) or _same(x, outermost)
+        return "outer" if outer else "inner"
 
-    return Space(_mesh(occ.Glue(faces), name, h), half, z_in, z_out, design.substrate_index**2)
+    shape = occ.Glue(faces)
+    for edge in shape.edges:
+        box = edge.bounding_box
+        edge.name = edge_name(edge.center.x, edge.center.y, box[1].y - box[0].y < 1e-5)
+    mesh = ng.Mesh(occ.OCCGeometry(shape, dim=2).GenerateMesh(maxh=h, grading=0.3))
+    return Space(mesh, half_um, z_in, z_out, design.substrate_index**2 if len(wires) else 1.0)
 
 
 def solve(
@@ -221,7 +213,7 @@ def solve(
         field,
         port_field(space, field, k, polarization, space.input_um + PAST_SOURCE_UM, 1.0),
         port_field(space, field, k, polarization, space.output_um - _INSIDE_UM, space.exit_permittivity),
-        _absorbed(space, field, k, polarization, permittivity),
+        _absorbed_power(space, field, k, polarization, permittivity),
     )
 
 
@@ -262,7 +254,7 @@ def port_field(
     return PortField(slope / eps, u, weights)
 
 
-def _absorbed(
+def _absorbed_power(
     space: Space, field: ng.GridFunction, k: float, polarization: Polarization, permittivity: complex
 ) -> float:
     """k ∫ Im ε |E|² over half the wires: power lost there, per incident irradiance. [µm]"""
@@ -283,17 +275,11 @@ def permittivity_map(space: Space, wire: complex) -> ng.CoefficientFunction:
     return space.mesh.MaterialCF({"wire": wire, "exit": behind, "pml_exit": behind}, default=ng.CF(1.0))
 
 
-def _wires(design: WireGridDesign, wavelength_um: float) -> list[Any]:
-    """The wires at x ≥ 0; of an odd number the central one is cut by the mirror plane."""
-    d, element = design.period_nm * 1e-3, design.fem.wire_element_at(wavelength_um)
-    first = 0.0 if design.wires % 2 else d / 2
-    return [_wire(first + i * d, design, element) for i in range((design.wires + 1) // 2)]
-
-
-def _wire(centre_um: float, design: WireGridDesign, element_um: float) -> Any:
+def _wire(centre_um: float, design: WireGridDesign, wavelength_um: float) -> Any:
     """Cross-section of one wire, cut off at x = 0."""
     top, base, t = design.top_width_um / 2, design.base_width_um / 2, design.wire_height_nm * 1e-3
     corners = [(-top, 0.0), (top, 0.0), (base, t), (-base, t)]
+    element_um = design.fem.wire_element_at(wavelength_um)
     return _polygon([(max(centre_um + x, 0.0), z) for x, z in corners], "wire", element_um)
 
 
@@ -311,14 +297,6 @@ def _polygon(corners: list[tuple[float, float]], name: str, element_um: float) -
     if element_um:
         face.faces.maxh = element_um
     return face
-
-
-def _mesh(shape: Any, name, element_um: float) -> ng.Mesh:
-    """Name every edge by ``name(x, z, whether it runs along x)`` of its centre, and mesh."""
-    for edge in shape.edges:
-        box = edge.bounding_box
-        edge.name = name(edge.center.x, edge.center.y, box[1].y - box[0].y < 1e-5)
-    return ng.Mesh(occ.OCCGeometry(shape, dim=2).GenerateMesh(maxh=element_um, grading=0.3))
 
 
 def _same(a: float, b: float) -> bool:
@@ -372,7 +350,7 @@ def measure(pixel: Pixel, wavelength_um: float, permittivity: complex) -> dict[s
         row[f"{name}_reflectance"] = -(solution.input - free.input).power() / incident
         row[f"{name}_absorptance"] = solution.absorbed_um / incident
     ratio = passed.output.mean_electric() / blocked.output.mean_electric()
-    coherence = passed.output.shared_power(blocked.output) / removed
+    coherence = passed.output.interference_power(blocked.output) / removed
     row |= {"field_ratio_real": ratio.real, "field_ratio_imag": ratio.imag}
     row |= {"coherence_real": coherence.real, "coherence_imag": coherence.imag}
     if not np.isfinite(list(row.values())).all():
@@ -412,8 +390,8 @@ def field_maps(design: WireGridDesign, wavelength_um: float, step_um: float = 0.
     points = space.mesh(grid_x[~plate], grid_z[~plate])
     local = permittivity_map(space, eps)(points).ravel()
     variables = {}
-    polarizations: tuple[tuple[str, Polarization], ...] = (("across", "pass"), ("along", "block"))
-    for name, polarization in polarizations:
+    polarizations: dict[str, Polarization] = {"across": "pass", "along": "block"}
+    for name, polarization in polarizations.items():
         field = solve(space, wavelength_um, polarization, eps, order).field
         u, slope = field(points).ravel(), ng.grad(field)(points)
         if polarization == "pass":
@@ -423,24 +401,17 @@ def field_maps(design: WireGridDesign, wavelength_um: float, step_um: float = 0.
         else:
             electric = u
             energy = 0.5 * (abs(local) * abs(u) ** 2 + (abs(slope) ** 2).sum(axis=1) / k**2)
-        for key, values in (("", electric.real), ("_quadrature", electric.imag)):
-            variables[f"electric_{name}{key}"] = _mirrored(values, plate)
-        variables[f"energy_{name}"] = _mirrored(energy, plate)
+        maps = {"electric_{}": electric.real, "electric_{}_quadrature": electric.imag, "energy_{}": energy}
+        for key, values in maps.items():
+            half = np.full(plate.shape, np.nan)
+            half[~plate] = values
+            full = np.concatenate([half[:, ::-1], half], axis=1)  # every mapped quantity is even in x
+            variables[key.format(name)] = (("z", "x"), full, {"units": "1"})
     return xr.Dataset(
-        {key: (("z", "x"), values, {"units": "1"}) for key, values in variables.items()},
-        coords={
-            "z": ("z", z, {"units": "um"}),
-            "x": ("x", np.r_[-x[::-1], x], {"units": "um"}),
-        },
+        variables,
+        coords={"z": ("z", z, {"units": "um"}), "x": ("x", np.r_[-x[::-1], x], {"units": "um"})},
         attrs={"wavelength_um": wavelength_um, "design": design.model_dump_json()},
     )
-
-
-def _mirrored(values: Float[Array, "point"], plate: Array) -> Float[Array, "z x"]:
-    """The map over both halves; every mapped quantity is even in x."""
-    full = np.full(plate.shape, np.nan)
-    full[~plate] = values
-    return np.concatenate([full[:, ::-1], full], axis=1)
 
 
 def main() -> None:

@@ -1,34 +1,30 @@
 """Wire-grid polarizers: solved tables, and the quantities of Eqs. (7)–(9) that follow from them.
 
-A table is a Dataset over ``wavelength``. `load` gives the shipped ones, `solve` makes new ones in parallel
-processes. Every solved wavelength goes into the cache at once, so that an interrupted sweep continues where
-it stopped. Angles ψ of the light's polarization are from the axis *across* the wires, the pass axis.
+A table is a Dataset over ``wavelength``. `load` reads the shipped ones, `solve` makes new ones in parallel
+processes. Every solved wavelength is cached, so that an interrupted sweep continues where it stopped. Angles ψ
+of the light's polarization are from the axis *across* the wires, the pass axis.
 """
 
 import json
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from importlib import import_module
 from importlib.metadata import version
 from importlib.resources import as_file, files
-from importlib.resources.abc import Traversable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO
+from typing import Any
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Complex, Float
 from numpy.typing import ArrayLike
 
 from glintrack import stokes
 from glintrack.core import spectral
-from glintrack.core.arrays import Array
 from glintrack.core.installation import MissingExtraError, missing_extra
 from glintrack.devices.optical_constants import permittivity
 from glintrack.devices.wire_grid.design import PAPER_GRIDS, WireGridDesign
@@ -67,12 +63,7 @@ def load(name: str) -> xr.Dataset:
     """
     if name not in PAPER_GRIDS:
         raise ValueError(f"`name` must be one of {', '.join(PAPER_GRIDS)}, got {name!r}")
-    if not _shipped(name).is_file():
-        raise ValueError(
-            f"`name` must be a table of this installation, got {name!r} without one "
-            f"(python tools/make_wiregrid_tables.py {name})"
-        )
-    with as_file(_shipped(name)) as path:
+    with as_file(files("glintrack") / "data" / "devices" / f"{name}.nc") as path:
         return complete(xr.load_dataset(path, engine="h5netcdf"))
 
 
@@ -82,16 +73,12 @@ def response(
     """Table of a design: shipped if it is one of the paper's and the wavelengths are in it, else solved."""
     um = spectral.check_wavelengths(wavelength_um)
     for name, known in PAPER_GRIDS.items():
-        if design == known and _shipped(name).is_file():
+        if design == known:
             table = load(name)
             nearest = np.abs(table["wavelength"].values[:, None] - um).argmin(axis=0)
             if np.allclose(table["wavelength"].values[nearest], um, rtol=0, atol=1e-9):
                 return table.isel(wavelength=nearest)
     return solve(design, um, progress=progress)
-
-
-def _shipped(name: str) -> Traversable:
-    return files("glintrack") / "data" / "devices" / f"{name}.nc"
 
 
 def solve(
@@ -139,7 +126,7 @@ def solve(
             "title": "Response of a pixel-sized wire-grid polarizer",
             "design": design.model_dump_json(),
             "source": "2-D finite elements of Maxwell's equations, glintrack.devices.wire_grid.fem; metal: "
-            + describe_metal(design),
+            + _describe_metal(design),
             "licence": "BSD-3-Clause",
             "order": json.dumps(sorted({design.fem.order_at(x) for x in um.tolist()})),
             "elements": json.dumps(sorted({row["elements"] for row in rows})),
@@ -151,7 +138,7 @@ def solve(
 
 def field_maps(design: WireGridDesign, wavelength_um: float) -> xr.Dataset:
     """Field in the cross-section at one wavelength, solved now (extra ``em``); see `fem.field_maps`."""
-    require_solver()
+    _require_solver()
     (um,) = spectral.check_wavelengths(wavelength_um)
     return import_module("glintrack.devices.wire_grid.fem").field_maps(design, float(um))
 
@@ -167,28 +154,30 @@ def complete(table: xr.Dataset) -> xr.Dataset:
     ``extinction_ratio``, Eq. (8); ``diattenuation``, Eq. (9); ``retardance``, the phase of the pass amplitude
     less that of the block one, e^(−iωt) [rad]; ``transmittance`` T(λ, ψ) over ``polarization_angle`` [rad];
     ``mueller``, of the linear diattenuator with its pass axis along the reference axis, and
-    ``mueller_per_aperture``, which a sensor flies.
+    ``mueller_per_aperture``, which sensors use.
     """
     design = WireGridDesign.model_validate_json(table.attrs["design"])
     share = design.aperture_um / design.port_um
-    passed, blocked = table["pass_transmittance"], table["block_transmittance"]
+    passed, blocked = table["pass_transmittance"].values, table["block_transmittance"].values
     psi = np.radians(ANGLES_DEG)
-    retardance = np.angle(field_ratio(table))
-    matrices = [
-        _mueller(p, b, r)
-        for p, b, r in zip(passed.values.tolist(), blocked.values.tolist(), retardance.tolist(), strict=True)
-    ]
-    wave = "wavelength"
-    both = passed.values + blocked.values
+    retardance = np.angle(table["field_ratio_real"].values + 1j * table["field_ratio_imag"].values)
+    matrices = []
+    for p, b, r in zip(passed.tolist(), blocked.tolist(), retardance.tolist(), strict=True):
+        scale = max(1.0, p, b)  # Eq. (7) may exceed 1, as the removed run loses light to the sides
+        matrices.append(scale * stokes.linear_diattenuator(p / scale, b / scale, 0.0, r))
+    wave, one, mueller = "wavelength", {"units": "1"}, ("wavelength", "stokes_out", "stokes_in")
+    # T(λ, ψ) = T(0°) cos²ψ + T(90°) sin²ψ, Eq. (7): exact where nothing varies along the wires
+    by_angle = np.multiply.outer(passed, np.cos(psi) ** 2) + np.multiply.outer(blocked, np.sin(psi) ** 2)
+    diattenuation = (passed - blocked) / (passed + blocked)
     return table.assign(
-        pass_transmittance_per_aperture=(wave, passed.values / share, {"units": "1"}),
-        block_transmittance_per_aperture=(wave, blocked.values / share, {"units": "1"}),
-        extinction_ratio=(wave, passed.values / blocked.values, {"units": "1", "long_name": "Eq. (8)"}),
-        diattenuation=(wave, (passed.values - blocked.values) / both, {"units": "1", "long_name": "Eq. (9)"}),
+        pass_transmittance_per_aperture=(wave, passed / share, one),
+        block_transmittance_per_aperture=(wave, blocked / share, one),
+        extinction_ratio=(wave, passed / blocked, {"units": "1", "long_name": "Eq. (8)"}),
+        diattenuation=(wave, diattenuation, {"units": "1", "long_name": "Eq. (9)"}),
         retardance=(wave, retardance, {"units": "rad"}),
-        transmittance=((wave, "polarization_angle"), transmittance(table, psi), {"units": "1"}),
-        mueller=((wave, "stokes_out", "stokes_in"), np.array(matrices), {"units": "1"}),
-        mueller_per_aperture=((wave, "stokes_out", "stokes_in"), np.array(matrices) / share, {"units": "1"}),
+        transmittance=((wave, "polarization_angle"), by_angle, one),
+        mueller=(mueller, np.array(matrices), one),
+        mueller_per_aperture=(mueller, np.array(matrices) / share, one),
     ).assign_coords(
         polarization_angle=("polarization_angle", psi, {"units": "rad"}),
         stokes_out=("stokes_out", list(stokes.COMPONENTS)),
@@ -196,34 +185,7 @@ def complete(table: xr.Dataset) -> xr.Dataset:
     )
 
 
-def _mueller(passed: float, blocked: float, retardance_rad: float) -> Float[Array, "4 4"]:
-    """Matrix of a linear diattenuator; Eq. (7) may exceed 1, as the removed run loses light to the sides."""
-    scale = max(1.0, passed, blocked)
-    return scale * stokes.linear_diattenuator(passed / scale, blocked / scale, 0.0, retardance_rad)
-
-
-def field_ratio(table: xr.Dataset) -> Complex[Array, "wavelength"]:
-    """Complex amplitude behind the pixel, pass over block, e^(−iωt). [1]"""
-    return table["field_ratio_real"].values + 1j * table["field_ratio_imag"].values
-
-
-def transmittance(table: xr.Dataset, angle_rad: ArrayLike) -> Float[Array, "wavelength *angle"]:
-    """T(λ, ψ) = T(0°) cos²ψ + T(90°) sin²ψ, Eq. (7); exact where nothing varies along the wires. [1]
-
-    Parameters
-    ----------
-    table
-        From `load` or `solve`.
-    angle_rad
-        ψ, of the light's polarization from the pass axis. [rad]
-    """
-    psi = np.asarray(angle_rad, dtype=float)
-    passed, blocked = table["pass_transmittance"].values, table["block_transmittance"].values
-    return np.multiply.outer(passed, np.cos(psi) ** 2) + np.multiply.outer(blocked, np.sin(psi) ** 2)
-
-
-def describe_metal(design: WireGridDesign) -> str:
-    """The wires' metal and the source of its optical constants in a few words."""
+def _describe_metal(design: WireGridDesign) -> str:
     metal = design.metal
     if metal.model == "conductivity":
         return f"conductor of {metal.conductivity_s_per_m:g} S/m (ε = 1 + iσ/(ωε₀))"
@@ -270,7 +232,7 @@ def sweep(
     missing = [i for i in range(len(stems)) if i not in rows]
     if not missing:
         return [rows[i] for i in range(len(stems))]
-    require_solver()
+    _require_solver()
 
     def add(i: int, row: dict) -> None:
         cache.keep(stems[i], ".json", folder, json.dumps(row).encode())
@@ -284,12 +246,11 @@ def sweep(
 
 
 def can_solve() -> bool:
-    """Whether the extra ``em`` is installed."""
+    """Return True if the extra ``em`` is installed."""
     return find_spec("ngsolve") is not None
 
 
-def require_solver() -> None:
-    """Refuse to solve without NGSolve, and say what to install."""
+def _require_solver() -> None:
     if not can_solve():
         needed = missing_extra("ngsolve", "em", "solve Maxwell's equations")
         raise MissingExtraError(f"{needed}; shipped tables need none: wire_grid.load")
@@ -298,38 +259,31 @@ def require_solver() -> None:
 def _solve_all(
     design: WireGridDesign, tasks: dict[int, Task], workers: int, keep: Callable[[int, dict], None]
 ) -> None:
-    """Share tasks among ``workers`` processes; ``keep`` takes each answer as it comes."""
-    parts = [dict(list(tasks.items())[k::workers]) for k in range(workers)]
-    with tempfile.TemporaryFile("w+", encoding="utf-8") as errors, ExitStack() as stack:
-        processes = [stack.enter_context(start_worker(errors)) for _ in parts]
-        with ThreadPoolExecutor(workers) as pool:
-            turns = [
-                pool.submit(_serve, process, design, part, keep, errors)
-                for process, part in zip(processes, parts, strict=True)
-            ]
-            try:
-                for turn in turns:
-                    turn.result()
-            finally:  # after an interrupt, or where one worker failed, the others need not go on
-                for process in processes:
-                    process.kill()
-
-
-def start_worker(errors: IO[str]) -> subprocess.Popen:
-    """Start a process that solves wavelengths of one design (`fem.main`)."""
+    """Share tasks among processes that run `fem.main`; ``keep`` takes each answer as it comes."""
     # read when the libraries load: more threads a process only fight over the cores
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "glintrack.devices.wire_grid.fem"]
-    pipe = subprocess.PIPE
-    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=errors, text=True, env=environment)
+    command, pipe = [sys.executable, "-m", "glintrack.devices.wire_grid.fem"], subprocess.PIPE
+    options: dict[str, Any] = {"stdin": pipe, "stdout": pipe, "stderr": subprocess.STDOUT, "text": True}
+    with ExitStack() as stack, ThreadPoolExecutor(workers) as pool:
+        started = [
+            stack.enter_context(subprocess.Popen(command, env=environment, **options)) for _ in range(workers)
+        ]
+        parts = [dict(list(tasks.items())[k::workers]) for k in range(workers)]
+        try:
+            for turn in [
+                pool.submit(_serve, *pair, design, keep) for pair in zip(started, parts, strict=True)
+            ]:
+                turn.result()
+        finally:  # after an interrupt, or where one worker failed, the others need not go on
+            for process in started:
+                process.kill()
 
 
 def _serve(
     process: subprocess.Popen,
-    design: WireGridDesign,
     tasks: dict[int, Task],
+    design: WireGridDesign,
     keep: Callable[[int, dict], None],
-    errors: IO[str],
 ) -> None:
     """Send one process its tasks and take the answers."""
     assert process.stdin is not None and process.stdout is not None
@@ -337,10 +291,12 @@ def _serve(
     with suppress(OSError):  # it has died; the missing answer tells
         process.stdin.write("\n".join([design.model_dump_json(exclude={"metal"}), *lines, ""]))
         process.stdin.close()
-    answers = (line for line in process.stdout if line.startswith("{"))
-    for i, (wavelength_um, _) in tasks.items():
-        line = next(answers, None)
-        if line is None:
-            errors.seek(0)
-            raise RuntimeError(f"solving {wavelength_um:g} µm failed: {errors.read().strip()[-2000:]}")
-        keep(i, json.loads(line))
+    open_tasks, messages = list(tasks), []
+    for line in process.stdout:
+        if line.startswith("{"):
+            keep(open_tasks.pop(0), json.loads(line))
+        else:
+            messages.append(line)
+    if open_tasks:
+        failure = "".join(messages).strip()[-2000:]
+        raise RuntimeError(f"solving {tasks[open_tasks[0]][0]:g} µm failed: {failure}")
