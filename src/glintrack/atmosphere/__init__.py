@@ -2,7 +2,7 @@
 
 from glintrack.atmosphere.design import AtmosphereDesign
 from glintrack.atmosphere.directions import interpolate_map, path_stokes, sky_stokes
-from glintrack.atmosphere.slab import rayleigh_slab
+from glintrack.atmosphere.solve import rayleigh_slab
 from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
 from glintrack.atmosphere.tables import solve_tables
 

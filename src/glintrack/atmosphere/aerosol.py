@@ -44,7 +44,7 @@ class AerosolOptics:
 
 
 def read_components() -> xr.Dataset:
-    """Packaged Mie table of the basic components, `wavelength` in µm."""
+    """Read the packaged Mie table of the basic components, `wavelength` in µm."""
     resource = files("glintrack") / "data" / "atmosphere" / "aerosol_components.nc"
     with as_file(resource) as path:
         return xr.load_dataset(path, engine="h5netcdf")
@@ -84,25 +84,27 @@ def aerosol_optics(aerosol: str, wavelength_um: Float[Array, "wavelength"]) -> A
     log_grid, log_at = np.log(grid_um), np.log(np.asarray(wavelength_um, dtype=float))
     extinction_at = np.exp(np.interp(log_at, log_grid, np.log(extinction)))
     scattering_at = np.exp(np.interp(log_at, log_grid, np.log(scattering)))
+    right = np.clip(np.searchsorted(log_grid, log_at), 1, log_grid.size - 1)
+    weight = ((log_at - log_grid[right - 1]) / (log_grid[right] - log_grid[right - 1]))[:, None, None]
     return AerosolOptics(
         extinction=extinction_at / at_550,
         single_scattering_albedo=scattering_at / extinction_at,
-        moments=_interpolate_first(log_at, log_grid, moments),
+        moments=(1 - weight) * moments[right - 1] + weight * moments[right],
     )
 
 
 def without_forward_peak(optics: AerosolOptics, moments: int = 64) -> AerosolOptics:
-    """The same aerosol with its forward peak counted as light not scattered (delta-M).
+    """Count the aerosol's forward peak as light not scattered (delta-M).
 
-    What is narrower than about 180°/``moments`` around the sun cannot be carried by a sky map of that
-    resolution, and rings there; it stays in the direct beam, where a pyrheliometer counts it too.
+    Light within about 180°/``moments`` of the sun cannot be resolved by the sky map, and would ring there.
+    It stays in the direct beam, as in the reading of a pyrheliometer.
 
     Parameters
     ----------
     optics
-        As Mie theory gives it.
+        Optics by Mie theory.
     moments
-        How many moments to keep.
+        Number of moments of the result.
 
     References
     ----------
@@ -120,10 +122,3 @@ def without_forward_peak(optics: AerosolOptics, moments: int = 64) -> AerosolOpt
         single_scattering_albedo=albedo * (1 - peak) / (1 - albedo * peak),
         moments=kept / (1 - peak)[:, None, None],
     )
-
-
-def _interpolate_first(at: Array, grid: Array, values: Array) -> Array:
-    """Linear interpolation along the first axis."""
-    right = np.clip(np.searchsorted(grid, at), 1, grid.size - 1)
-    weight = ((at - grid[right - 1]) / (grid[right] - grid[right - 1])).reshape(-1, *[1] * (values.ndim - 1))
-    return (1 - weight) * values[right - 1] + weight * values[right]

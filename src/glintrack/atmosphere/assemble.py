@@ -1,12 +1,12 @@
 """From a design to its tables: medium in, solver's fields out, scaled to the sun and factorized.
 
-Sky and path are solved without gas absorption, whose angular shape takes many eigenvectors (20 components
-leave 8 % in the saturated bands), and then multiplied per wavelength by what the gases leave: of the sky's
-irradiance on level ground; of the path in a reference direction, toward a sensor at each altitude. What they
-leave is the light of the band's exponential sum. ``docs/theory/atmosphere.md`` says what that costs.
+Sky and path are solved without gas absorption, whose angular shape needs many eigenvectors (20 components
+leave 8 % in the saturated bands). They are then multiplied per wavelength by the gases' transmission: of the
+sky's irradiance on level ground, and of the path in a reference direction toward a sensor at each altitude.
+The transmission follows from the band's exponential sum; ``docs/theory/atmosphere.md`` gives its error.
 
-``python -m glintrack.atmosphere.assemble DESIGN.json TABLES.nc THREADS`` solves in a process of its own, so
-that sasktran2 finds OpenBLAS held to one thread before numpy loads (twice as fast).
+``python -m glintrack.atmosphere.assemble DESIGN.json TABLES.nc THREADS`` solves in a separate process, in
+which OpenBLAS is limited to one thread before numpy loads (twice as fast).
 """
 
 import math
@@ -49,19 +49,19 @@ ZENITH_DEG = np.arange(0.0, 88.0, 3.0)
 VIEW_ZENITH_DEG = np.arange(0.0, 86.0, 5.0)
 AZIMUTH_STEP_DEG = 5.0
 REFERENCE_VIEW_DEG = 35.0
-"""Where the gases' share of the path is taken: about the middle of 0° to 50° off nadir."""
+"""Direction in which the gases' share of the path is computed: the middle of 0° to 50° off nadir."""
 TERMS, SUMMED_GASES = 5, 1
 """Of a band's exponential sum: terms, and how many of its strongest gases are summed."""
 LARGEST_INTENSITY_ERROR = 1e-3
 """Of I, relative, in any direction at any wavelength. [1]"""
 LARGEST_DOLP_ERROR = 1e-3
 """Of the degree of linear polarization, in any direction at any wavelength. [1]"""
-MOST_COMPONENTS = 16
+MAX_COMPONENTS = 16
 
 
 @dataclass(frozen=True)
 class Factors:
-    """field[λ] = Σ_k spectrum[k, λ]·map[k], and how far off that is.
+    """field[λ] = Σ_k spectrum[k, λ]·map[k], and its largest errors.
 
     Parameters
     ----------
@@ -82,10 +82,10 @@ class Factors:
 
 
 def factorize(field: Float[Array, "wavelength *direction 3"]) -> Factors:
-    """The fewest components that keep I and DoLP within their limits.
+    """Factorize a field into the fewest components with I and DoLP within their limits.
 
     Each wavelength is divided by its mean I, and each direction by its own, so that the singular vectors
-    spend themselves on changes of shape and a dark horizon counts like the bright aureole.
+    represent changes of shape and a dark horizon has the same weight as the bright aureole.
 
     Parameters
     ----------
@@ -98,22 +98,18 @@ def factorize(field: Float[Array, "wavelength *direction 3"]) -> Factors:
     shape = flat / level[:, None, None]
     weight = 1 / shape[..., 0].mean(axis=0)
     u, s, vt = np.linalg.svd((shape * weight[:, None]).reshape(bands, -1), full_matrices=False)
-    for count in range(1, min(bands, MOST_COMPONENTS) + 1):
+    for count in range(1, min(bands, MAX_COMPONENTS) + 1):
         maps = vt[:count].reshape(count, -1, 3) / weight[:, None]
         spectrum = (u[:, :count] * s[:count]).T * level
         size = abs(maps).max(axis=(1, 2)) * np.where(maps[..., 0].sum(axis=1) < 0, -1.0, 1.0)
         maps, spectrum = (maps / size[:, None, None]).astype(np.float32), spectrum * size[:, None]
-        intensity_error, dolp_error = _errors(flat, np.einsum("kw,kns->wns", spectrum, maps))
+        near = np.einsum("kw,kns->wns", spectrum, maps)
+        intensity_error = float(abs(near[..., 0] / flat[..., 0] - 1).max())
+        dolp = [np.hypot(x[..., 1], x[..., 2]) / x[..., 0] for x in (flat, near)]
+        dolp_error = float(abs(dolp[1] - dolp[0]).max())
         if intensity_error <= LARGEST_INTENSITY_ERROR and dolp_error <= LARGEST_DOLP_ERROR:
             break
     return Factors(spectrum, maps.reshape(count, *directions, 3), intensity_error, dolp_error)
-
-
-def _errors(true: Array, approximate: Array) -> tuple[float, float]:
-    """Largest relative error of I and largest error of DoLP."""
-    intensity = abs(approximate[..., 0] / true[..., 0] - 1).max()
-    dolp = [np.hypot(x[..., 1], x[..., 2]) / x[..., 0] for x in (true, approximate)]
-    return float(intensity), float(abs(dolp[1] - dolp[0]).max())
 
 
 def assemble_tables(
@@ -133,17 +129,11 @@ def assemble_tables(
     sun_zenith, sun_azimuth = sun_direction(design)
     medium = build_medium(design, math.cos(sun_zenith))
     half_circle = np.radians(np.arange(0.0, 180.0 + AZIMUTH_STEP_DEG / 2, AZIMUTH_STEP_DEG))
-    directions = Directions(
-        math.cos(sun_zenith),
-        np.radians(ZENITH_DEG),
-        np.radians(VIEW_ZENITH_DEG),
-        half_circle,
-        np.array(design.altitudes_m),
-    )
+    zeniths, altitudes = (np.radians(ZENITH_DEG), np.radians(VIEW_ZENITH_DEG)), np.array(design.altitudes_m)
+    directions = Directions(math.cos(sun_zenith), *zeniths, half_circle, altitudes)
 
-    def part(start: float, share: float) -> Callable[[float], None] | None:
-        tell = progress
-        return None if tell is None else lambda done: tell(start + share * done)
+    def part(start: float, share: float) -> Callable[[float], None]:
+        return lambda done: progress(start + share * done) if progress is not None else None
 
     clean = replace(medium, gas_absorption=np.zeros_like(medium.gas_absorption))
     streams = design.streams
@@ -154,42 +144,37 @@ def assemble_tables(
     path = fields.upward.copy()  # less the target's own light
     path[..., 0] -= (fields.emitted[:, None, None] * through)[..., None]
     light = _light_of(ground, extinction, height, directions)
-    left = _absorbed_light(fields, clean, directions, design, threads, part(0.7, 0.3))
+    absorbed = _light_with_gases(fields, clean, directions, design, threads, part(0.7, 0.3))
     sun_top = solar_irradiance(design.wavelength_um, earth_sun_distance(design))
-    absorbed = medium.gas_absorption
-    sun = light.sun * np.exp(-slant_weights(directions.cos_sun_zenith, height) @ absorbed)
+    gas = slant_weights(directions.cos_sun_zenith, height) @ medium.gas_absorption
     azimuth, sky_full = _full_circle(fields.sky, directions.azimuth, sun_azimuth)
     _, path_full = _full_circle(path, directions.azimuth, sun_azimuth)
-    sky = _scaled(factorize(sky_full), sun_top * left.diffuse / light.diffuse)
-    path_factors = _scaled(factorize(path_full), sun_top)
-    gases = path_transmittance(
-        gas_amounts(design.water_cm),
-        height,
-        directions.altitude_m,
-        directions.view_zenith,
-        design.wavelength_um,
-    )
+    sky, path_factors = factorize(sky_full), factorize(path_full)
+    sky = replace(sky, spectrum=sky.spectrum * (sun_top * absorbed.diffuse / light.diffuse))
+    path_factors = replace(path_factors, spectrum=path_factors.spectrum * sun_top)
+    d, amounts = replace(directions, azimuth=azimuth), gas_amounts(design.water_cm)
+    gases = path_transmittance(amounts, height, d.altitude_m, d.view_zenith, design.wavelength_um)
     spectra = {
-        "sun_irradiance": sun_top * sun,
-        "sky_irradiance": sun_top * left.diffuse,
-        "spherical_albedo": left.returned,
-        "path_gas": (left.path / light.path).T,
+        "sun_irradiance": sun_top * (light.sun * np.exp(-gas)),
+        "sky_irradiance": sun_top * absorbed.diffuse,
+        "spherical_albedo": absorbed.returned,
+        "path_gas": (absorbed.path / light.path).T,
         "transmittance": through * gases,
     }
-    return _dataset(design, replace(directions, azimuth=azimuth), sky, path_factors, spectra)
+    return _dataset(design, d, sky, path_factors, spectra)
 
 
 def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
-    """Optical properties by level and wavelength of a design; gases as the sun's slant path sees them."""
+    """Optical properties by level and wavelength of a design; gases effective for the sun's slant path."""
     height = np.array(LEVELS_M, dtype=float)
     wavelength_um = design.wavelength_um
-    shape = (height.size, wavelength_um.size)
     if design.aerosol == "none":
-        isotropic = np.zeros((wavelength_um.size, 4, MOMENTS))
-        optics = AerosolOptics(np.zeros(shape[1]), np.zeros(shape[1]), isotropic)
+        nothing = np.zeros(wavelength_um.size)
+        optics = AerosolOptics(nothing, nothing, np.zeros((wavelength_um.size, 4, MOMENTS)))
     else:
         optics = without_forward_peak(aerosol_optics(design.aerosol, wavelength_um), MOMENTS)
     profile = column_weights(exponential_profile(height, SCALE_HEIGHT_M, AEROSOL_TOP_M), height)
+    gas = effective_absorption(gas_amounts(design.water_cm), height, cos_sun_zenith, wavelength_um)
     return Medium(
         height_m=height,
         wavelength_um=wavelength_um,
@@ -197,19 +182,13 @@ def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
         aerosol_extinction=design.aerosol_optical_depth_550 * np.outer(profile, optics.extinction),
         aerosol_albedo=optics.single_scattering_albedo,
         aerosol_moments=optics.moments,
-        gas_absorption=effective_absorption(
-            gas_amounts(design.water_cm), height, cos_sun_zenith, wavelength_um
-        ),
+        gas_absorption=gas,
     )
 
 
 @dataclass(frozen=True)
 class _Light:
-    """What reaches ground and sensor for unit solar irradiance, by wavelength.
-
-    ``sun``: share of the direct beam. ``diffuse``: sky on level ground. ``path``: (wavelength, altitude), in
-    the reference direction. ``returned``: spherical albedo.
-    """
+    """Share of the direct beam, sky on level ground, path in the reference direction, spherical albedo."""
 
     sun: Float[Array, "wavelength"]
     diffuse: Float[Array, "wavelength"]
@@ -217,10 +196,10 @@ class _Light:
     returned: Float[Array, "wavelength"]
 
 
-def _absorbed_light(
+def _light_with_gases(
     fields: Fields, medium: Medium, d: Directions, design: AtmosphereDesign, threads: int, progress
 ) -> _Light:
-    """With gases: each band the sum of its terms."""
+    """Light of a medium with gases: each band the sum of its terms."""
     amounts, height = gas_amounts(design.water_cm), medium.height_m
     found = [
         gas_terms(amounts, height, d.cos_sun_zenith, float(um), TERMS, SUMMED_GASES)
@@ -248,7 +227,10 @@ def _light_of(ground: GroundLight, extinction: Array, height_m: Array, d: Direct
     """Sun, sky and path of a medium of some extinction (level, wavelength)."""
     sun = np.exp(-slant_weights(d.cos_sun_zenith, height_m) @ extinction)
     diffuse = np.maximum(ground.irradiance(GROUND_ALBEDO) - d.cos_sun_zenith * sun, 0.0)
-    path = _reference_path(ground, _through(extinction, height_m, d), d)
+    view = int(np.argmin(abs(d.view_zenith - math.radians(REFERENCE_VIEW_DEG))))
+    emitted = GROUND_ALBEDO * ground.irradiance(GROUND_ALBEDO) / np.pi
+    around = ground.gain[:, :, view, 0] - _through(extinction, height_m, d)[:, :, view]
+    path = ground.dark_upward[:, :, view, 0] + emitted[:, None] * around
     return _Light(sun, diffuse, np.maximum(path, 0.0), ground.spherical_albedo)
 
 
@@ -260,23 +242,10 @@ def _through(
     return np.exp(-np.moveaxis(slant @ extinction, -1, 0))
 
 
-def _reference_path(light: GroundLight, through: Array, d: Directions) -> Float[Array, "wavelength altitude"]:
-    """Intensity of the path in one direction toward each sensor, from which the gases' share is taken."""
-    view = int(np.argmin(abs(d.view_zenith - math.radians(REFERENCE_VIEW_DEG))))
-    emitted = GROUND_ALBEDO * light.irradiance(GROUND_ALBEDO) / np.pi
-    around = light.gain[:, :, view, 0] - through[:, :, view]
-    return light.dark_upward[:, :, view, 0] + emitted[:, None] * around
-
-
-def _scaled(factors: Factors, by_wavelength: Float[Array, "wavelength"]) -> Factors:
-    """The same maps with other spectra; relative errors stay what they are."""
-    return replace(factors, spectrum=factors.spectrum * by_wavelength)
-
-
 def _full_circle(
     half: Float[Array, "*lead azimuth 3"], azimuth: Float[Array, "azimuth"], sun_azimuth: float
 ) -> tuple[Float[Array, "full"], Float[Array, "*lead full 3"]]:
-    """Mirror a half circle about the sun's vertical plane and lay it on absolute azimuths, rising."""
+    """Mirror a half circle about the sun's vertical plane and sort it by absolute azimuths."""
     mirrored = half[..., -2:0:-1, :] * np.array([1.0, 1.0, -1.0])  # U turns its sign in the mirror
     full = np.concatenate([half, mirrored], axis=-2)
     around = np.r_[azimuth, 2 * np.pi - azimuth[-2:0:-1]]
@@ -290,13 +259,13 @@ def _full_circle(
 def _dataset(
     design: AtmosphereDesign, d: Directions, sky: Factors, path: Factors, spectra: dict[str, Array]
 ) -> xr.Dataset:
-    """Lay the tables out, with units and what each variable is."""
+    """Dataset of the tables, with units and descriptions."""
     sun_zenith, sun_azimuth = sun_direction(design)
-    one, radiance, frame = {"units": "1"}, {"units": RADIANCE}, {"units": "1", "stokes_frame": "meridian"}
-    what = {
+    radiance, frame = {"units": RADIANCE}, {"units": "1", "stokes_frame": "meridian"}
+    meanings = {
         "sun_irradiance": "direct sun at the ground, on a plane normal to the beam",
         "sky_irradiance": "diffuse sky on level ground",
-        "path_gas": "what gases leave of the path to a sensor at that altitude",
+        "path_gas": "transmission of gases for the path to a sensor at that altitude",
         "transmittance": "from the ground to the sensor",
         "view_zenith": "from nadir",
         "azimuth": "of the direction of look, clockwise from north",
@@ -306,27 +275,25 @@ def _dataset(
         "path_gas": ("altitude", "wavelength"),
         "transmittance": ("wavelength", "altitude", "view_zenith"),
     }
+    path_dims = ("path_component", "altitude", "view_zenith", "azimuth", "stokes")
     axes = {"wavelength": (design.wavelength_um, "um"), "altitude": (np.array(design.altitudes_m), "m")}
     axes |= {name: (getattr(d, name), "rad") for name in ("zenith", "view_zenith", "azimuth")}
     tables = xr.Dataset(
-        {name: (dims.get(name, ("wavelength",)), values, one) for name, values in spectra.items()}
+        {
+            name: (dims.get(name, ("wavelength",)), values, {"units": units.get(name, "1")})
+            for name, values in spectra.items()
+        }
         | {
             "sky_spectrum": (("sky_component", "wavelength"), sky.spectrum, radiance),
             "sky_map": (("sky_component", "zenith", "azimuth", "stokes"), sky.maps, frame),
             "path_spectrum": (("path_component", "wavelength"), path.spectrum, radiance),
-            "path_map": (
-                ("path_component", "altitude", "view_zenith", "azimuth", "stokes"),
-                path.maps,
-                frame,
-            ),
+            "path_map": (path_dims, path.maps, frame),
         },
         coords={name: (name, values, {"units": unit}) for name, (values, unit) in axes.items()}
         | {"stokes": ["I", "Q", "U"]},
     )
-    for name, text in what.items():
+    for name, text in meanings.items():
         tables[name].attrs["long_name"] = text
-    for name, unit in units.items():
-        tables[name].attrs["units"] = unit
     tables.attrs = {
         "title": "polarized atmosphere: sun, sky, path",
         "source": "solved by glintrack with sasktran2; sun ASTM G173-03 (pvlib), aerosol WMO 1986, gases 6S",

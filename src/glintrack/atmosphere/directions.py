@@ -1,4 +1,4 @@
-"""Looking up the sky and the path in any direction, right across zenith and nadir.
+"""Lookup of the sky and the path in any direction, also across zenith and nadir.
 
 The `meridian` frame is singular at the poles, so tables are interpolated in a frame of *fixed azimuth*:
 the reference axis is the horizontal north–south line, carried to the direction of look along its meridian
@@ -23,9 +23,9 @@ from glintrack.core.arrays import Array
 
 
 def to_fixed_azimuth_frame(
-    stokes_map: Float[Array, "... 3"], azimuth_rad: ArrayLike, looking: str
+    stokes_map: Float[Array, "... 3"], azimuth_rad: ArrayLike, looking: str, sign: float = 1.0
 ) -> Float[Array, "... 3"]:
-    """A map of Stokes vectors from the `meridian` frame to the frame of fixed azimuth.
+    """Rotate a map of Stokes vectors from the `meridian` frame to the frame of fixed azimuth.
 
     Parameters
     ----------
@@ -36,15 +36,13 @@ def to_fixed_azimuth_frame(
         [rad]
     looking
         ``"up"`` for the sky, ``"down"`` for the path.
+    sign
+        −1 for the inverse, from the frame of fixed azimuth to `meridian`.
     """
-    return stokes.rotate(stokes_map, _turn(looking) * np.asarray(azimuth_rad, dtype=float))
-
-
-def to_meridian_frame(
-    stokes_map: Float[Array, "... 3"], azimuth_rad: ArrayLike, looking: str
-) -> Float[Array, "... 3"]:
-    """Inverse of `to_fixed_azimuth_frame`."""
-    return stokes.rotate(stokes_map, -_turn(looking) * np.asarray(azimuth_rad, dtype=float))
+    if looking not in ("up", "down"):
+        raise ValueError(f"`looking` must be 'up' or 'down', got {looking!r}")
+    turn = -sign if looking == "up" else sign
+    return stokes.rotate(stokes_map, turn * np.asarray(azimuth_rad, dtype=float))
 
 
 def sky_stokes(
@@ -57,7 +55,7 @@ def sky_stokes(
     tables
         Schema ``atmosphere``.
     zenith_rad
-        0 straight up to π/2; below the last row of the table (87°) the sky is that row's. [rad]
+        0 straight up to π/2; below the last row of the table (87°) that row is used. [rad]
     azimuth_rad
         Of the direction of look, clockwise from north. [rad]
     """
@@ -66,7 +64,7 @@ def sky_stokes(
     fixed = interpolate_map(
         tables["sky_map"].values, tables["zenith"].values, tables["azimuth"].values, zenith, azimuth, "up"
     )
-    maps = to_meridian_frame(fixed, azimuth[..., None], "up")
+    maps = to_fixed_azimuth_frame(fixed, azimuth[..., None], "up", -1.0)
     return np.einsum("...ks,kw->...ws", maps, tables["sky_spectrum"].values)
 
 
@@ -91,16 +89,14 @@ def path_stokes(
     _require(view, "view_zenith_rad", 0.0, views[-1])
     _require(np.asarray(altitude_m), "altitude_m", altitudes[0], altitudes[-1])
     maps = np.moveaxis(tables["path_map"].values.astype(float), 1, 0)
-    upper = int(np.clip(np.searchsorted(altitudes, altitude_m), 1, max(altitudes.size - 1, 1)))
-    left = tables["path_gas"].transpose("altitude", "wavelength").values
-    if altitudes.size == 1:
-        at_altitude, gas = maps[0], left[0]
-    else:
-        weight = (altitude_m - altitudes[upper - 1]) / (altitudes[upper] - altitudes[upper - 1])
-        at_altitude = (1 - weight) * maps[upper - 1] + weight * maps[upper]
-        gas = (1 - weight) * left[upper - 1] + weight * left[upper]
+    gases = tables["path_gas"].transpose("altitude", "wavelength").values
+    at = float(np.interp(altitude_m, altitudes, np.arange(altitudes.size)))
+    lower, weight = int(at), at - int(at)
+    upper = min(lower + 1, altitudes.size - 1)
+    at_altitude = (1 - weight) * maps[lower] + weight * maps[upper]
+    gas = (1 - weight) * gases[lower] + weight * gases[upper]
     fixed = interpolate_map(at_altitude, views, tables["azimuth"].values, view, azimuth, "down")
-    at = to_meridian_frame(fixed, azimuth[..., None], "down")
+    at = to_fixed_azimuth_frame(fixed, azimuth[..., None], "down", -1.0)
     return np.einsum("...ks,kw->...ws", at, tables["path_spectrum"].values * gas)
 
 
@@ -112,7 +108,7 @@ def interpolate_map(
     at_azimuth_rad: Float[Array, "*at"],
     looking: str,
 ) -> Float[Array, "*at component 3"]:
-    """A `meridian` map at any directions, bilinear, **in the frame of fixed azimuth** (module docstring).
+    """Interpolate a `meridian` map, bilinear; the result is **in the frame of fixed azimuth** (see above).
 
     Parameters
     ----------
@@ -134,12 +130,6 @@ def interpolate_map(
     upper = (1 - right) * fixed[above, left] + right * fixed[above, next_column]
     lower = (1 - right) * fixed[above + 1, left] + right * fixed[above + 1, next_column]
     return (1 - down) * upper + down * lower
-
-
-def _turn(looking: str) -> float:
-    if looking not in ("up", "down"):
-        raise ValueError(f"`looking` must be 'up' or 'down', got {looking!r}")
-    return -1.0 if looking == "up" else 1.0
 
 
 def _require(values: Array, name: str, low: float, high: float) -> None:

@@ -30,7 +30,7 @@ LEVELS_M: tuple[float, ...] = (
     70000,
     100000,
 )
-"""Heights at which the atmosphere is given; fine where the aerosol and the aircraft are. [m]"""
+"""Levels of the atmosphere; fine at the heights of the aerosol and the aircraft. [m]"""
 WATER_SCALE_HEIGHT_M = 2000.0
 """Of water vapour in the mean (e.g. Reitan, J. Appl. Meteor. 2, 776 (1963)). [m]"""
 AIR_SCALE_HEIGHT_M = 8000.0
@@ -39,13 +39,13 @@ OZONE_HEIGHT_M, OZONE_WIDTH_M = 20_000.0, 5_000.0
 OZONE_DU = 320.0
 """Vertical column of ozone, the mean of northern mid-latitudes. [Dobson units]"""
 DOBSON_PER_CM_ATM = 1000.0
-LEAST_DEPTH = 0.02  # of the sun's path: gases that take less keep the absorption that is right for it
+MIN_DEPTH = 0.02  # of the sun's path: weaker gases are given their effective absorption of that path
 _MORE_AIR = 3.0  # air masses that scattered light may cross beyond the sun's own path
-_LEAST_WEIGHT = 1e-5
+_MIN_WEIGHT = 1e-5
 
 
 def column_weights(profile: Float[Array, "level"], height_m: Float[Array, "level"]) -> Float[Array, "level"]:
-    """A profile scaled to unit column (trapezoid, as the solver integrates it). [m⁻¹]"""
+    """Scale a profile to unit column (trapezoid, as in the solver). [m⁻¹]"""
     return profile / np.trapezoid(profile, height_m)
 
 
@@ -91,7 +91,7 @@ def slant_weights(
 
 
 def read_gases() -> xr.Dataset:
-    """Packaged optical depth by gas, amount and wavelength (µm)."""
+    """Read the packaged optical depth by gas, amount and wavelength (µm)."""
     resource = files("glintrack") / "data" / "atmosphere" / "gas_transmittance.nc"
     with as_file(resource) as path:
         return xr.load_dataset(path, engine="h5netcdf")
@@ -119,12 +119,10 @@ def gas_depth(
 
     Parameters
     ----------
-    table
-        Of `read_gases`.
-    gas
-        One of its gases.
+    table, gas
+        From `read_gases`, and one of its gases.
     amount
-        Along the path, in the table's unit for that gas.
+        Amount along the path, in the table's unit for that gas.
     wavelength_um
         [µm]
 
@@ -136,11 +134,10 @@ def gas_depth(
     one = table.sel(gas=gas)
     nodes, depth = one["amount"].values, one["optical_depth"].values.astype(float)
     per_amount = resample(wavelength_um, table["wavelength"].values, depth / nodes[:, None], f"gas.{gas}")
-    amount = np.asarray(amount, dtype=float)
+    amount, log_nodes = np.asarray(amount, dtype=float), np.log(nodes)
     at = np.log(np.clip(amount, nodes[0], nodes[-1]))
-    upper = np.clip(np.searchsorted(np.log(nodes), at), 1, nodes.size - 1)
-    span = np.log(nodes[upper]) - np.log(nodes[upper - 1])
-    weight = ((at - np.log(nodes[upper - 1])) / span)[..., None]
+    upper = np.clip(np.searchsorted(log_nodes, at), 1, nodes.size - 1)
+    weight = ((at - log_nodes[upper - 1]) / (log_nodes[upper] - log_nodes[upper - 1]))[..., None]
     return amount[..., None] * ((1 - weight) * per_amount[upper - 1] + weight * per_amount[upper])
 
 
@@ -196,15 +193,13 @@ def path_transmittance(
     """
     table, profiles = read_gases(), gas_profiles(height_m)
     slant = np.array([[slant_weights(math.cos(v), height_m, a) for v in view_zenith] for a in altitude_m])
-    depth = sum(
-        gas_depth(table, gas, amounts[gas] * (slant @ profile), wavelength_um)
-        for gas, profile in profiles.items()
-    )
+    paths = {gas: amounts[gas] * (slant @ profile) for gas, profile in profiles.items()}
+    depth = sum(gas_depth(table, gas, amount, wavelength_um) for gas, amount in paths.items())
     return np.moveaxis(np.exp(-np.asarray(depth)), -1, 0)
 
 
 def exponential_sum(
-    depth_of: Callable[[Float[Array, "amount"]], Float[Array, "amount"]], most_amount: float, most_terms: int
+    depth_of: Callable[[Float[Array, "amount"]], Float[Array, "amount"]], max_amount: float, max_terms: int
 ) -> tuple[Float[Array, "term"], Float[Array, "term"]]:
     """Weights, summing to 1, and absorption per amount whose sum is a band's transmittance.
 
@@ -212,17 +207,15 @@ def exponential_sum(
     ----------
     depth_of
         Optical depth of each amount. [1]
-    most_amount
-        The largest that any path holds.
-    most_terms
-        How many terms at most.
+    max_amount, max_terms
+        Largest amount of any path; largest number of terms.
     """
-    amount = most_amount * np.r_[0.0, np.geomspace(1e-4, 1.0, 80)]
-    rate = np.r_[0.0, np.geomspace(1e-3, 3e3, 120)] / most_amount
+    amount = max_amount * np.r_[0.0, np.geomspace(1e-4, 1.0, 80)]
+    rate = np.r_[0.0, np.geomspace(1e-3, 3e3, 120)] / max_amount
     certain = np.r_[1e3, np.ones(len(amount) - 1)]  # nothing takes nothing: the weights sum to 1
     terms, wanted = np.exp(-np.outer(amount, rate)) * certain[:, None], np.exp(-depth_of(amount)) * certain
     weights, _ = nnls(terms, wanted)
-    kept = np.argsort(weights)[::-1][:most_terms]
+    kept = np.argsort(weights)[::-1][:max_terms]
     weights, _ = nnls(terms[:, kept], wanted)
     return weights / weights.sum(), rate[kept]
 
@@ -232,8 +225,8 @@ def gas_terms(
     height_m: Float[Array, "level"],
     cos_sun_zenith: float,
     wavelength_um: float,
-    most_terms: int = 8,
-    most_gases: int = 6,
+    max_terms: int = 8,
+    max_gases: int = 6,
 ) -> tuple[Float[Array, "term"], Float[Array, "term level"]]:
     """Weights and absorption of the terms of one band, all gases together. [1, m⁻¹]
 
@@ -245,8 +238,8 @@ def gas_terms(
         Levels; of the sun. [m, 1]
     wavelength_um
         [µm]
-    most_terms, most_gases
-        Terms of each gas; how many of the strongest gases are made sums of.
+    max_terms, max_gases
+        Terms of each gas; number of the strongest gases that are expanded in sums.
     """
     table, profiles, wavelength = read_gases(), gas_profiles(height_m), np.array([wavelength_um])
     slant = slant_weights(cos_sun_zenith, height_m)
@@ -256,16 +249,16 @@ def gas_terms(
         return lambda amount: gas_depth(table, gas, amount, wavelength)[..., 0]
 
     depth = {gas: float(depth_of(gas)(np.array(amounts[gas] * mass[gas]))) for gas in profiles}
-    summed = [gas for gas in sorted(depth, key=lambda gas: -depth[gas]) if depth[gas] >= LEAST_DEPTH]
+    summed = [gas for gas in sorted(depth, key=lambda gas: -depth[gas]) if depth[gas] >= MIN_DEPTH]
     weights, absorption = np.ones(1), np.zeros((1, height_m.size))
     for gas, profile in profiles.items():
-        if gas not in summed[:most_gases]:
+        if gas not in summed[:max_gases]:
             absorption = absorption + profile * depth[gas] / mass[gas]
             continue
         most = amounts[gas] * (mass[gas] + _MORE_AIR)
-        share, rate = exponential_sum(depth_of(gas), most, most_terms)
+        share, rate = exponential_sum(depth_of(gas), most, max_terms)
         added = np.outer(amounts[gas] * rate, profile)
         absorption = (absorption[:, None] + added[None]).reshape(-1, height_m.size)
         weights = np.outer(weights, share).ravel()
-    kept = weights > _LEAST_WEIGHT
+    kept = weights > _MIN_WEIGHT
     return weights[kept] / weights[kept].sum(), absorption[kept]

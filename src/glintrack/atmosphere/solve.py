@@ -1,36 +1,37 @@
-"""The radiative transfer itself: sasktran2 set up for one atmosphere, asked for sky, path, ground.
+"""Radiative transfer with sasktran2: sky, path and ground of one atmosphere, and a plain Rayleigh slab.
 
-Importing this module loads sasktran2; `tables` therefore runs it in a process of its own (`worker`), with
-OpenBLAS held to one thread, which halves the time.
+`tables` runs it in a separate process with OpenBLAS limited to one thread, which halves the time.
 
 sasktran2's Q is ours (`meridian`) and its relative azimuth, measured from the sun, is ours clockwise: the
 light seen when looking at the azimuth (sun's azimuth + a) is its (I, Q, U) at a. Pinned by the published
 Coulson/Natraj rows and by the adding-doubling oracle in the tests.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import sasktran2 as sk
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from glintrack.atmosphere.gas import EARTH_RADIUS_M
 from glintrack.core.arrays import Array
 
 NEAR_VERTICAL = 0.99999
-"""Largest |cos zenith| asked of the solver: at 1 its exact single scatter has wrong Q, U (0.26° off)."""
+"""Largest |cos zenith| passed to the solver: at 1 its exact single scatter has wrong Q, U (0.26° off)."""
 GROUND_OBSERVER_M = 1.0
-"""Height from which the light leaving the ground is looked at. [m]"""
+"""Height of the observer of the light that leaves the ground. [m]"""
 TRIAL_ALBEDOS = (0.3, 0.9)
 PROBE_STREAMS = 8  # irradiances and ratios need no more, and cost a sixth
 MOMENTS = 64  # of the phase matrix in exact single scatter: as fine as a 3° sky map can carry
 CHUNK = 8  # wavelengths a call: bounds the memory, gives progress its steps
+_SLAB_M = 1000.0  # height of the Rayleigh slab
 
 
 @dataclass(frozen=True)
 class Medium:
-    """Optical properties of an atmosphere at its levels and wavelengths, and what lies under it.
+    """Optical properties of an atmosphere at its levels and wavelengths.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ class Medium:
 
 @dataclass(frozen=True)
 class Directions:
-    """Where to look: angles from the zenith (sky) and from the nadir (path), azimuth from the sun. [rad]"""
+    """Directions of look: angles from the zenith (sky) and the nadir (path), azimuth from the sun. [rad]"""
 
     cos_sun_zenith: float
     zenith: Float[Array, "zenith"]
@@ -72,7 +73,7 @@ class Directions:
 
 @dataclass(frozen=True)
 class GroundLight:
-    """What a Lambertian ground makes of one medium, for unit solar irradiance; exact for any albedo.
+    """Effect of a Lambertian ground below one medium, for unit solar irradiance; exact for any albedo.
 
     Parameters
     ----------
@@ -84,8 +85,8 @@ class GroundLight:
         Light toward the sensor over black ground at the sun's azimuth, (wavelength, altitude,
         view_zenith, stokes). [sr⁻¹]
     gain
-        What reaches the sensor of light that leaves the whole ground, directly and scattered, same shape.
-        [1]
+        Share of the light from the whole ground that reaches the sensor, directly and scattered, same
+        shape. [1]
     """
 
     dark_irradiance: Float[Array, "wavelength"]
@@ -100,7 +101,7 @@ class GroundLight:
 
 @dataclass(frozen=True)
 class Fields:
-    """What the solver gives for unit solar irradiance above the atmosphere, per wavelength.
+    """Solved fields for unit solar irradiance above the atmosphere, per wavelength.
 
     Parameters
     ----------
@@ -134,27 +135,29 @@ def solve_fields(
     Parameters
     ----------
     medium, directions
-        What is there and where to look. What gases absorb is solved in: exact for lines that do not saturate.
+        The atmosphere and the directions of look. Gas absorption is included: exact for lines that do not
+        saturate.
     ground_albedo
         Lambertian. [1]
     streams
         Discrete ordinates over the full sphere.
     threads
-        Of the solver, over wavelengths.
+        Threads of the solver, over wavelengths.
     progress
         Called with the finished fraction.
     """
-    config = _config(streams, threads)
-    geometry = _geometry(directions.cos_sun_zenith, medium.height_m)
-    engine = sk.Engine(config, geometry, _all_rays(directions))
-    light, extinction = [], []
-    for chunk in _chunks(medium, progress):
-        air = _atmosphere(medium, chunk, geometry, config)
-        light.append(_radiance(engine, air, ground_albedo))
-        # the storage itself holds the delta-M scaled extinction once solved
-        extinction.append(np.array(air.unscaled_extinction, copy=True))
-    sky, upward, emitted = _sort_rays(np.concatenate(light), directions)
-    return Fields(sky, upward, emitted, np.concatenate(extinction, axis=1) - medium.gas_absorption)
+    d, rays = directions, sk.ViewingGeometry()
+    for zenith in d.zenith:
+        for azimuth in d.azimuth:
+            up = min(np.cos(zenith), NEAR_VERTICAL)
+            rays.add_ray(sk.SolarAnglesObserverLocation(d.cos_sun_zenith, azimuth, up, 0.0))
+    _add_path_rays(rays, d, d.azimuth)
+    rays.add_ray(sk.GroundViewingSolar(d.cos_sun_zenith, 0.0, NEAR_VERTICAL, GROUND_OBSERVER_M))
+    light, extinction = _solve(medium, d, rays, (ground_albedo,), streams, threads, progress)
+    count = d.zenith.size * d.azimuth.size
+    sky = light[0, :, :count].reshape(-1, d.zenith.size, d.azimuth.size, 3)
+    upward = light[0, :, count:-1].reshape(-1, d.altitude_m.size, d.view_zenith.size, d.azimuth.size, 3)
+    return Fields(sky, upward, light[0, :, -1, 0], extinction - medium.gas_absorption)
 
 
 def solve_ground(
@@ -164,35 +167,14 @@ def solve_ground(
     threads: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> GroundLight:
-    """What a Lambertian ground makes of one atmosphere; parameters as `solve_fields`."""
-    config = _config(min(PROBE_STREAMS, streams), threads)
-    geometry = _geometry(directions.cos_sun_zenith, medium.height_m)
-    engine = sk.Engine(config, geometry, _probe_rays(directions))
-    probed = []
-    for chunk in _chunks(medium, progress):
-        air = _atmosphere(medium, chunk, geometry, config)
-        probed.append([_radiance(engine, air, albedo) for albedo in TRIAL_ALBEDOS])
-    return _ground_light(np.concatenate(probed, axis=1), directions)
+    """Solve one atmosphere for the effects of a Lambertian ground; parameters as `solve_fields`.
 
-
-def _chunks(medium: Medium, progress: Callable[[float], None] | None) -> Iterator[slice]:
-    """Parts of the wavelengths, progress told after each."""
-    for first in range(0, medium.wavelength_um.size, CHUNK):
-        yield slice(first, first + CHUNK)
-        if progress is not None:
-            progress(min(1.0, (first + CHUNK) / medium.wavelength_um.size))
-
-
-def _sort_rays(light: Array, d: Directions) -> tuple[Array, Array, Array]:
-    """Sky, upward and ground light out of the order of `_all_rays`."""
-    bands, zeniths, azimuths, views = light.shape[0], d.zenith.size, d.azimuth.size, d.view_zenith.size
-    sky = light[:, : zeniths * azimuths].reshape(bands, zeniths, azimuths, 3)
-    upward = light[:, zeniths * azimuths : -1].reshape(bands, d.altitude_m.size, views, azimuths, 3)
-    return sky, upward, light[:, -1, 0]
-
-
-def _ground_light(probed: Float[Array, "2 wavelength ray 3"], d: Directions) -> GroundLight:
-    """Separate the ground from the atmosphere by two albedos a: E(a) = E(0)/(1 − a s)."""
+    Two albedos a separate the ground from the atmosphere: E(a) = E(0)/(1 − a s).
+    """
+    d, rays = directions, sk.ViewingGeometry()
+    rays.add_ray(sk.GroundViewingSolar(d.cos_sun_zenith, 0.0, NEAR_VERTICAL, GROUND_OBSERVER_M))
+    _add_path_rays(rays, d, (0.0,))
+    probed, _ = _solve(medium, d, rays, TRIAL_ALBEDOS, min(PROBE_STREAMS, streams), threads, progress)
     low, high = TRIAL_ALBEDOS
     emitted = probed[:, :, 0, 0]
     ratio = (emitted[1] / high) / (emitted[0] / low)
@@ -204,55 +186,57 @@ def _ground_light(probed: Float[Array, "2 wavelength ray 3"], d: Directions) -> 
     return GroundLight(dark, np.clip(returned, 0, 1), black.reshape(shape), gain.reshape(shape))
 
 
-def _config(streams: int, threads: int) -> sk.Config:
+def _add_path_rays(rays: sk.ViewingGeometry, d: Directions, azimuths: Iterable[float]) -> None:
+    for altitude in d.altitude_m:
+        for view in d.view_zenith:
+            for azimuth in azimuths:
+                down = min(np.cos(view), NEAR_VERTICAL)
+                rays.add_ray(sk.GroundViewingSolar(d.cos_sun_zenith, azimuth, down, altitude))
+
+
+def _solve(
+    medium: Medium,
+    d: Directions,
+    rays: sk.ViewingGeometry,
+    albedos: tuple[float, ...],
+    streams: int,
+    threads: int,
+    progress: Callable[[float], None] | None,
+) -> tuple[Float[Array, "albedo wavelength ray 3"], Float[Array, "level wavelength"]]:
+    """Radiance along rays over each albedo, and extinction of the medium."""
+    config = _config(streams, MOMENTS, sk.SingleScatterSource.Exact)
+    config.num_threads, config.delta_m_scaling = threads, True
+    linear = sk.InterpolationMethod.LinearInterpolation
+    geometry = sk.Geometry1D(
+        d.cos_sun_zenith, 0.0, EARTH_RADIUS_M, medium.height_m, linear, sk.GeometryType.Spherical
+    )
+    engine, light, extinction = sk.Engine(config, geometry, rays), [], []
+    for first in range(0, medium.wavelength_um.size, CHUNK):
+        air = _atmosphere(medium, slice(first, first + CHUNK), geometry, config)
+        part = []
+        for albedo in albedos:
+            air["ground"] = sk.constituent.LambertianSurface(albedo)
+            part.append(engine.calculate_radiance(air)["radiance"].values)
+        light.append(part)
+        # the storage itself holds the delta-M scaled extinction once solved
+        extinction.append(np.array(air.unscaled_extinction, copy=True))
+        if progress is not None:
+            progress(min(1.0, (first + CHUNK) / medium.wavelength_um.size))
+    return np.concatenate(light, axis=1), np.concatenate(extinction, axis=1)
+
+
+def _config(streams: int, moments: int, single_scatter: sk.SingleScatterSource) -> sk.Config:
     config = sk.Config()
-    config.num_stokes = 3
-    config.num_streams = streams
-    config.num_threads = threads
-    config.num_singlescatter_moments = MOMENTS
+    config.num_stokes, config.num_streams, config.num_singlescatter_moments = 3, streams, moments
     config.multiple_scatter_source = sk.MultipleScatterSource.DiscreteOrdinates
-    config.single_scatter_source = sk.SingleScatterSource.Exact
-    config.delta_m_scaling = True
+    config.single_scatter_source = single_scatter
     config.log_level = sk.LogLevel.Off
     return config
 
 
-def _geometry(cos_sun: float, height_m: Array) -> sk.Geometry1D:
-    linear = sk.InterpolationMethod.LinearInterpolation
-    return sk.Geometry1D(cos_sun, 0.0, EARTH_RADIUS_M, height_m, linear, sk.GeometryType.Spherical)
-
-
-def _all_rays(d: Directions) -> sk.ViewingGeometry:
-    """Sky rays from the ground, path rays from every altitude, one ray from just above the ground."""
-    rays = sk.ViewingGeometry()
-    for zenith in d.zenith:
-        for azimuth in d.azimuth:
-            up = min(np.cos(zenith), NEAR_VERTICAL)
-            rays.add_ray(sk.SolarAnglesObserverLocation(d.cos_sun_zenith, azimuth, up, 0.0))
-    for altitude in d.altitude_m:
-        for view in d.view_zenith:
-            for azimuth in d.azimuth:
-                down = min(np.cos(view), NEAR_VERTICAL)
-                rays.add_ray(sk.GroundViewingSolar(d.cos_sun_zenith, azimuth, down, altitude))
-    rays.add_ray(sk.GroundViewingSolar(d.cos_sun_zenith, 0.0, NEAR_VERTICAL, GROUND_OBSERVER_M))
-    return rays
-
-
-def _probe_rays(d: Directions) -> sk.ViewingGeometry:
-    """One ray from just above the ground, then the path rays at one azimuth."""
-    rays = sk.ViewingGeometry()
-    rays.add_ray(sk.GroundViewingSolar(d.cos_sun_zenith, 0.0, NEAR_VERTICAL, GROUND_OBSERVER_M))
-    for altitude in d.altitude_m:
-        for view in d.view_zenith:
-            down = min(np.cos(view), NEAR_VERTICAL)
-            rays.add_ray(sk.GroundViewingSolar(d.cos_sun_zenith, 0.0, down, altitude))
-    return rays
-
-
 def _atmosphere(medium: Medium, chunk: slice, geometry: sk.Geometry1D, config: sk.Config) -> sk.Atmosphere:
-    air = sk.Atmosphere(
-        geometry, config, calculate_derivatives=False, wavelengths_nm=medium.wavelength_um[chunk] * 1e3
-    )
+    wavelengths_nm = medium.wavelength_um[chunk] * 1e3
+    air = sk.Atmosphere(geometry, config, calculate_derivatives=False, wavelengths_nm=wavelengths_nm)
     sk.climatology.us76.add_us76_standard_atmosphere(air)
     if medium.rayleigh:
         air["air"] = sk.constituent.Rayleigh()
@@ -261,8 +245,7 @@ def _atmosphere(medium: Medium, chunk: slice, geometry: sk.Geometry1D, config: s
         levels, bands = extinction.shape
         albedo = np.broadcast_to(medium.aerosol_albedo[chunk], (levels, bands)).copy()
         by_moment = medium.aerosol_moments[chunk].transpose(2, 1, 0)  # moment, coefficient, wavelength
-        flat = by_moment.reshape(-1, 1, bands)
-        moments = np.repeat(flat, levels, axis=1)
+        moments = np.repeat(by_moment.reshape(-1, 1, bands), levels, axis=1)
         air["aerosol"] = sk.constituent.Manual(extinction, albedo, moments)
     gas = medium.gas_absorption[:, chunk]
     if np.any(gas > 0):
@@ -270,6 +253,70 @@ def _atmosphere(medium: Medium, chunk: slice, geometry: sk.Geometry1D, config: s
     return air
 
 
-def _radiance(engine: sk.Engine, air: sk.Atmosphere, albedo: float) -> Float[Array, "wavelength ray 3"]:
-    air["ground"] = sk.constituent.LambertianSurface(albedo)
-    return engine.calculate_radiance(air)["radiance"].values
+def rayleigh_slab(
+    optical_depth: float,
+    mu0: float,
+    albedo: float,
+    mu: ArrayLike,
+    azimuth_deg: ArrayLike,
+    streams: int = 40,
+) -> Float[Array, "... 3"]:
+    """Light leaving the top of a homogeneous Rayleigh slab without depolarization, for a solar flux of π.
+
+    Parameters
+    ----------
+    optical_depth
+        Vertical, above 0. [1]
+    mu0
+        Cosine of the sun's zenith angle, in (0, 1]. [1]
+    albedo
+        Of the Lambertian ground below, 0 to 1. [1]
+    mu
+        Cosine of the angle of the emerging light from the vertical, in (0, 1]; broadcasts with
+        ``azimuth_deg``. [1]
+    azimuth_deg
+        Azimuth of the direction of *travel* from the sunbeam's: 0 is forward scattering, counter-clockwise
+        seen from above, as in the published tables. [°]
+    streams
+        Discrete ordinates over the full sphere, even.
+
+    Returns
+    -------
+    I, Q, U in our `meridian` frame: Q is the opposite of the tables', U the same. [sr⁻¹]
+
+    References
+    ----------
+    Coulson, Dave and Sekera, *Tables Related to Radiation Emerging from a Planetary Atmosphere with Rayleigh
+    Scattering* (1960); Natraj, Li and Yung, Astrophys. J. 691, 1909 (2009).
+    """
+    for name, value, low, high in (
+        ("optical_depth", optical_depth, 0.0, np.inf),
+        ("mu0", mu0, 0.0, 1.0),
+        ("mu", np.min(mu), 0.0, 1.0),
+        ("mu", np.max(mu), 0.0, 1.0),
+    ):
+        if not low < value <= high:
+            raise ValueError(f"`{name}` must be above {low:g} and at most {high:g}, got {value:g}")
+    if not 0 <= albedo <= 1:
+        raise ValueError(f"`albedo` must lie within 0 to 1, got {albedo:g}")
+    if streams % 2 or streams < 4:
+        raise ValueError(f"`streams` must be even and at least 4, got {streams}")
+    mu, azimuth = np.broadcast_arrays(np.asarray(mu, dtype=float), np.radians(azimuth_deg))
+    # a homogeneous plane slab is one layer, in which the ordinates' own single scatter is exact
+    config = _config(streams, streams, sk.SingleScatterSource.DiscreteOrdinates)
+    height, linear = np.linspace(0.0, _SLAB_M, 2), sk.InterpolationMethod.LinearInterpolation
+    geometry = sk.Geometry1D(mu0, 0.0, EARTH_RADIUS_M, height, linear, sk.GeometryType.PlaneParallel)
+    rays = sk.ViewingGeometry()
+    for one_mu, one_azimuth in zip(mu.ravel(), azimuth.ravel(), strict=True):
+        # tables count azimuth counter-clockwise, the solver clockwise
+        rays.add_ray(sk.GroundViewingSolar(mu0, -one_azimuth, min(one_mu, NEAR_VERTICAL), 10 * _SLAB_M))
+    slab = sk.Atmosphere(geometry, config, numwavel=1, calculate_derivatives=False)
+    slab.storage.total_extinction[:] = optical_depth / _SLAB_M
+    slab.storage.ssa[:] = 1.0
+    slab.leg_coeff.a1[0] = 1.0
+    slab.leg_coeff.a1[2] = 0.5
+    slab.leg_coeff.a2[2] = 3.0  # pyright: ignore[reportOptionalSubscript]
+    slab.leg_coeff.b1[2] = np.sqrt(6) / 2  # pyright: ignore[reportOptionalSubscript]
+    slab.surface.albedo[:] = albedo
+    light = sk.Engine(config, geometry, rays).calculate_radiance(slab)["radiance"].values
+    return np.pi * light.reshape(*mu.shape, 3)

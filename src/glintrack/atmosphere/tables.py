@@ -1,4 +1,4 @@
-"""Tables of an atmosphere: shipped, cached, or solved now in a process of its own."""
+"""Tables of an atmosphere: shipped, cached, or solved in a separate process."""
 
 import os
 import subprocess
@@ -27,8 +27,7 @@ def solve_tables(
 ) -> xr.Dataset:
     """Sun, sky, path and transmittance of a design (schema ``atmosphere``).
 
-    Tables that come with the package or lie in the cache are read; others are solved in a process of their
-    own and put into the cache.
+    Tables of the package or the cache are read; others are solved in a separate process and cached.
 
     Parameters
     ----------
@@ -39,7 +38,7 @@ def solve_tables(
     cache
         Folder of solved tables; `io.cache.cache_folder` by default.
     threads
-        Of the solver; all cores by default.
+        Threads of the solver; all cores by default.
 
     Returns
     -------
@@ -47,7 +46,7 @@ def solve_tables(
     `sky_radiance` and `path_radiance` (float32), irradiances, transmittance and spherical albedo. Largest
     truncation errors of the factors are among the attributes.
     """
-    sun_direction(design)  # a sun too low is the user's error, told before anything is solved
+    sun_direction(design)  # refuse a sun that is too low before anything is solved
     tables = read_shipped(design)
     if tables is None:
         folder = cache_folder("atmosphere") if cache is None else cache
@@ -67,7 +66,7 @@ def solve_in_worker(
     progress: Callable[[float], None] | None = None,
     threads: int | None = None,
 ) -> Path:
-    """Solve a design in a process of its own and return the file it wrote."""
+    """Solve a design in a separate process and return the file it wrote."""
     request, answer = scratch / "design.json", scratch / "tables.nc"
     request.write_text(design.model_dump_json(), encoding="utf-8")
     command = [sys.executable, "-m", "glintrack.atmosphere.assemble", str(request), str(answer)]
@@ -88,26 +87,20 @@ def solve_in_worker(
 
 
 def with_radiances(tables: xr.Dataset) -> xr.Dataset:
-    """The same tables with the factors multiplied out: `sky_radiance` and `path_radiance`."""
-    products = {}
+    """Add the products of the factors, `sky_radiance` and `path_radiance`."""
+    products, attrs = {}, {"units": RADIANCE, "stokes_frame": "meridian"}
     for name in ("sky", "path"):
-        spectrum, maps = tables[f"{name}_spectrum"], tables[f"{name}_map"]
-        product = np.einsum(
-            "kw,k...->w...", spectrum.values.astype(np.float32), maps.values.astype(np.float32)
-        )
+        spectrum, maps = (tables[f"{name}_{part}"].astype(np.float32) for part in ("spectrum", "map"))
+        product = np.einsum("kw,k...->w...", spectrum.values, maps.values)
         if name == "path":
-            left = tables["path_gas"].transpose("wavelength", "altitude").values.astype(np.float32)
-            product *= left[:, :, None, None, None]
-        products[f"{name}_radiance"] = (
-            ("wavelength", *maps.dims[1:]),
-            product,
-            {"units": RADIANCE, "stokes_frame": "meridian"},
-        )
+            gas = tables["path_gas"].transpose("wavelength", "altitude").values.astype(np.float32)
+            product *= gas[:, :, None, None, None]
+        products[f"{name}_radiance"] = (("wavelength", *maps.dims[1:]), product, attrs)
     return tables.assign(products)
 
 
 def read_shipped(design: AtmosphereDesign) -> xr.Dataset | None:
-    """Tables that come with the package for this very design, if there are any."""
+    """Read the package's tables of this design; None if there are none."""
     resource = files("glintrack") / "data" / "atmosphere" / f"tables_{design.content_key()}.nc"
     if not resource.is_file():
         return None
