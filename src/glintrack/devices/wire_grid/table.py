@@ -1,8 +1,8 @@
 """Wire-grid polarizers: solved tables, and the quantities of Eqs. (7)–(9) that follow from them.
 
 A table is a Dataset over ``wavelength``. `load` reads the shipped ones, `solve` makes new ones in parallel
-processes. Every solved wavelength is cached, so that an interrupted sweep continues where it stopped. Angles ψ
-of the light's polarization are from the axis *across* the wires, the pass axis.
+processes. Every solved wavelength is cached, so that an interrupted sweep continues where it stopped. Angles
+ψ of the light's polarization are from the axis *across* the wires, the pass axis.
 """
 
 import json
