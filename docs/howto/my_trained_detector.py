@@ -8,20 +8,19 @@ import pandas as pd
 from scipy import ndimage
 from sklearn.ensemble import RandomForestClassifier
 
-from glintrack.dataset.annotations import boxes_of, truth_of
+from glintrack.dataset.annotations import read_rows
 from glintrack.dataset.build import read_plan
-from glintrack.dataset.shards import ShardFiles
 from glintrack.io.netcdf import read_dataset
 
-LEAST_PROBABILITY = 0.5
-QUIET = 20  # of so many cells without a moving vehicle one is learnt from
+MIN_PROBABILITY = 0.5
+QUIET = 20  # training uses one of this number of cells without a moving vehicle
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "my_set")
 plan = read_plan(folder)
 
 
 def frames_of(name):
     """Rectified pan and DoLP (frame, north, east) of a case, its times [s] and grid [m]."""
-    parts = [read_dataset(folder / ShardFiles(shard).data, "shard") for shard in plan.shards(name)]
+    parts = [read_dataset(folder / shard.file("nc"), "shard") for shard in plan.shards(name)]
     pan = np.concatenate([part["pan"].values for part in parts])
     dolp = np.concatenate([part["dolp"].values for part in parts])
     times_s = np.concatenate([part["time_s"].values for part in parts])
@@ -29,7 +28,7 @@ def frames_of(name):
 
 
 def features_of(pan, dolp):
-    """What a cell looks like beside its median over the flight: (frame, north, east, feature)."""
+    """Features of each cell relative to its median over the flight: (frame, north, east, feature)."""
     change = np.stack([pan / np.nanmedian(pan, axis=0) - 1, dolp - np.nanmedian(dolp, axis=0)], axis=-1)
     change = np.nan_to_num(change).astype(np.float32)
     near = ndimage.uniform_filter(change, (1, 3, 3, 1))
@@ -39,9 +38,9 @@ def features_of(pan, dolp):
 
 
 def labels_of(name, shape, east, north):
-    """Which cells a moving vehicle covers, by its box on the ground."""
+    """Mask of the cells that moving vehicles cover, by their boxes on the ground."""
     covered = np.zeros(shape, bool)
-    boxes = boxes_of(folder, plan, name)
+    boxes = read_rows(folder, plan, name, "boxes.csv")
     boxes = boxes[(boxes["moving"] == 1) & (boxes["visible_fraction"] >= 0.25)]
     for row in boxes.itertuples():
         y = (north >= row.south_m) & (north <= row.north_m)
@@ -51,7 +50,7 @@ def labels_of(name, shape, east, north):
 
 
 def train():
-    """A forest on the cells of the training split: all that move, and some that do not."""
+    """Train a forest on all cells of the training split that move, and on some that do not."""
     seen, known = [], []
     for name in (name for name in plan.cases if plan.split[name] == "train"):
         pan, dolp, _, east, north = frames_of(name)
@@ -70,7 +69,7 @@ def detect(forest, name):
     rows = []
     for k, time_s in enumerate(times_s):
         likely = forest.predict_proba(found[k].reshape(-1, found.shape[-1]))[:, 1].reshape(pan.shape[1:])
-        blobs, count = ndimage.label(likely > LEAST_PROBABILITY)
+        blobs, count = ndimage.label(likely > MIN_PROBABILITY)
         middles = ndimage.center_of_mass(likely, blobs, np.arange(1, count + 1))
         for y, x in middles:
             place = np.interp(x, np.arange(len(east)), east), np.interp(y, np.arange(len(north)), north)
@@ -82,5 +81,5 @@ forest = train()
 for name in (name for name in plan.cases if plan.split[name] == "test"):
     table = detect(forest, name)
     table.to_csv(f"{name}.detections.csv", index=False)
-    truth_of(folder, plan, name).to_csv(f"{name}.truth.csv", index=False)
+    read_rows(folder, plan, name, "truth.csv").to_csv(f"{name}.truth.csv", index=False)
     print(f"{name}: {len(table)} detections over {plan.cases[name].flight.frames} frames")

@@ -16,18 +16,16 @@ from glintrack.dataset import (
     BASELINES,
     TrackingSet,
     build_dataset,
-    labelled_frames,
     plan_dataset,
     score_baselines,
+    simulate_frames,
     split_by_city,
     standard_cases,
-    track_target,
 )
 from glintrack.dataset.build import read_plan
 from glintrack.dataset.plan import city_of
 from glintrack.io.atomic import content_hash
 from glintrack.io.raw_mosaics import read_raw
-from glintrack.io.tracks import TrackGeoreference
 from glintrack.scene import load_materials
 from glintrack.sensor import RawDesign, measure_polarization
 from tests.conftest import ThreeCars
@@ -139,8 +137,8 @@ def test_a_stopped_build_resumes_to_the_same_bytes(built, plan, three_cars, tmp_
 
 
 def test_a_frame_is_the_same_whatever_is_flown_beside_it(three_cars):
-    alone = next(labelled_frames(case(), build_scenario(case()), [3]))
-    among = list(labelled_frames(case(), build_scenario(case()), range(4)))[3]
+    alone = next(simulate_frames(case(), build_scenario(case()), [3]))
+    among = list(simulate_frames(case(), build_scenario(case()), range(4)))[3]
     np.testing.assert_array_equal(alone.raw, among.raw)
     np.testing.assert_array_equal(alone.image["pan"], among.image["pan"])
     assert alone.reported_pose == among.reported_pose
@@ -187,7 +185,7 @@ def test_baselines_track_the_three(three_cars, tmp_path):
         score_baselines(tmp_path)
 
 
-def test_sets_and_tracks_satisfy_maites_protocols(built):
+def test_sets_satisfy_maites_protocols(built):
     protocols = pytest.importorskip(
         "maite.protocols.multiobject_tracking", reason="the dev extra's protocols"
     )
@@ -205,20 +203,6 @@ def test_sets_and_tracks_satisfy_maites_protocols(built):
     assert all(isinstance(one, protocols.SingleFrameObjectTrackingTarget) for one in target.frame_tracks)
     first = target.frame_tracks[0]
     assert first.boxes.shape == (3, 4) and set(first.track_ids) == {11, 22, 33} and len(first.labels) == 3
-
-    rows = xr.Dataset(
-        {
-            "time_s": ("row", [0.0, 0.5]),
-            "track_id": ("row", [4, 4]),
-            "east": ("row", [-100.0, -97.0]),
-            "north": ("row", [80.0, 80.0]),
-        }
-    )
-    place = TrackGeoreference(north_west_m=(-120.0, 90.0), cell_m=2.0, times_s=[0.0, 0.5, 1.0])
-    told = track_target(rows, place).frame_tracks
-    assert all(isinstance(one, protocols.SingleFrameObjectTrackingTarget) for one in told)
-    np.testing.assert_allclose(told[0].boxes, [[8.75, 3.75, 11.25, 6.25]])
-    assert told[1].track_ids.tolist() == [4] and told[2].boxes.shape == (0, 4)
     with pytest.raises(ValueError, match=r"`split` must be one that the set has \(train\)"):
         TrackingSet(built, "val")
 

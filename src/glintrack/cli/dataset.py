@@ -59,7 +59,7 @@ def build(
 ) -> None:
     """Fly cases into a labelled set: raws, channels, light, poses, boxes, masks, COCO and MOTChallenge."""
     plan, console = plan_dataset(case, frames, shard_frames, allow_outside_paths), Console()
-    gigabytes = plan.most_bytes / 1e9
+    gigabytes = plan.max_size_bytes / 1e9
     splits = ", ".join(
         f"{list(plan.split.values()).count(s)} {s}" for s in dict.fromkeys(plan.split.values())
     )

@@ -1,10 +1,10 @@
-"""A labelled set from seeds: raws, rectified channels, light without noise, poses, boxes, masks, tracks."""
+"""Labelled data sets: raws, rectified channels, light without noise, poses, boxes, masks and tracks."""
 
 from glintrack.dataset.baseline import BASELINES, SCORES, Baseline, score_baselines
 from glintrack.dataset.build import build_dataset
-from glintrack.dataset.multiobject import TrackingSet, track_target
+from glintrack.dataset.multiobject import TrackingSet
 from glintrack.dataset.plan import DatasetPlan, plan_dataset, split_by_city, standard_cases
-from glintrack.dataset.shards import LabelledFrame, labelled_frames
+from glintrack.dataset.shards import LabelledFrame, simulate_frames
 
 __all__ = [
     "BASELINES",
@@ -14,10 +14,9 @@ __all__ = [
     "LabelledFrame",
     "TrackingSet",
     "build_dataset",
-    "labelled_frames",
     "plan_dataset",
     "score_baselines",
+    "simulate_frames",
     "split_by_city",
     "standard_cases",
-    "track_target",
 ]

@@ -1,4 +1,4 @@
-"""Build a set shard by shard; what is done already is kept, so that a build resumes where it stopped."""
+"""Build a data set shard by shard; a build resumes where it stopped."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,8 +7,8 @@ from glintrack.case.build import build_scenario
 from glintrack.case.design import Case
 from glintrack.core.installation import VERSION, require_extra
 from glintrack.dataset.annotations import datasheet, write_annotations
-from glintrack.dataset.plan import MOST_SHARD_FRAMES, SPLITS, DatasetPlan, Shard, city_of
-from glintrack.dataset.shards import FOLDERS, LabelledFrame, file_hash, is_done, labelled_frames, write_shard
+from glintrack.dataset.plan import MAX_SHARD_FRAMES, SPLITS, DatasetPlan, Shard, city_of
+from glintrack.dataset.shards import FOLDERS, LabelledFrame, file_hash, is_done, simulate_frames, write_shard
 from glintrack.io.atomic import write_text
 from glintrack.io.toml import read_toml, to_toml
 
@@ -18,20 +18,20 @@ ABOUT, SUMS = "dataset.toml", "SHA256SUMS"
 def build_dataset(
     plan: DatasetPlan, folder: str | Path, progress: Callable[[Shard, int], None] | None = None
 ) -> int:
-    """Fly what is missing of a set and write its labels; what ``glintrack dataset`` does.
+    """Simulate the missing shards of a set and write its labels, as ``glintrack dataset`` does.
 
     Parameters
     ----------
     plan
         From `plan_dataset`.
     folder
-        New, empty, or one in which a build of the same plan was stopped.
+        New, empty, or with a part of the same set.
     progress
-        Called after each frame flown with its shard and the number of frames flown so far.
+        Called after each frame with its shard and the number of frames so far.
 
     Returns
     -------
-    How many frames were flown; the others lay there.
+    Number of simulated frames.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def build_dataset(
     """
     folder = Path(folder)
     require_extra("pycocotools.mask", "dataset", "write masks for COCO")
-    open_folder(folder, plan)
+    _open_folder(folder, plan)
     flown = 0
     for name, case in plan.cases.items():
         missing = [shard for shard in plan.shards(name) if not is_done(folder, shard)]
@@ -49,7 +49,7 @@ def build_dataset(
         scenario = build_scenario(case)
         for shard in missing:
             frames: list[LabelledFrame] = []
-            for frame in labelled_frames(case, scenario, shard.frames):
+            for frame in simulate_frames(case, scenario, shard.frames):
                 frames.append(frame)
                 flown += 1
                 if progress is not None:
@@ -62,14 +62,8 @@ def build_dataset(
     return flown
 
 
-def open_folder(folder: Path, plan: DatasetPlan) -> None:
-    """Make the folder of a set, or find it of the same plan.
-
-    Raises
-    ------
-    ValueError
-        If it holds another set or other things.
-    """
+def _open_folder(folder: Path, plan: DatasetPlan) -> None:
+    """Create the folder of a set, or raise ValueError if it holds another set or other files."""
     about = folder / ABOUT
     if about.is_file():
         found = read_toml(about, "dataset").get("key")
@@ -94,19 +88,19 @@ def open_folder(folder: Path, plan: DatasetPlan) -> None:
 
 
 def read_plan(folder: str | Path, allow_outside_paths: bool = False) -> DatasetPlan:
-    """The plan of a set that was built.
+    """Read the plan of a set that was built.
 
     Parameters
     ----------
     folder
-        Of the set.
+        Folder of the set.
     allow_outside_paths
-        As of `Case.from_toml`: a set of cases with files of their own names them where they lay.
+        See `Case.from_toml`; for cases with files outside the set.
 
     Raises
     ------
     ValueError
-        If the folder holds none, or not all of it.
+        If the folder holds no set, or not all of it.
     """
     folder = Path(folder)
     if not (folder / ABOUT).is_file():
@@ -126,19 +120,19 @@ def read_plan(folder: str | Path, allow_outside_paths: bool = False) -> DatasetP
 
 
 def read_about(path: Path) -> tuple[dict[str, str], int]:
-    """Split of each case by its name, and the frames of a shard, from a set's ``dataset.toml``.
+    """Read the split of each case by its name, and the frames of a shard, from a set's ``dataset.toml``.
 
     Raises
     ------
     ValueError
-        If it says neither.
+        If one is missing or wrong.
     """
     about = read_toml(path, "dataset")
     named, frames = about.get("cases"), about.get("shard_frames")
     if not isinstance(named, dict) or not named or not all(isinstance(v, dict) for v in named.values()):
         raise ValueError(f"`DATASET` must name its cases, got none in {path}")
-    if type(frames) is not int or not 1 <= frames <= MOST_SHARD_FRAMES:
-        raise ValueError(f"`DATASET` must have shard_frames of 1 to {MOST_SHARD_FRAMES}, got {frames!r}")
+    if type(frames) is not int or not 1 <= frames <= MAX_SHARD_FRAMES:
+        raise ValueError(f"`DATASET` must have shard_frames of 1 to {MAX_SHARD_FRAMES}, got {frames!r}")
     split = {name: one.get("split") for name, one in named.items()}
     if any(one not in SPLITS or Path(name).name != name for name, one in split.items()):
         raise ValueError(f"`DATASET` must have cases of a split ({', '.join(SPLITS)}), got others in {path}")

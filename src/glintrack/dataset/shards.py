@@ -1,8 +1,8 @@
-"""Labelled frames of a case, and shards of a set, written whole and found again when a set is resumed.
+"""Labelled frames of a case, and shards of a data set.
 
-A labelled frame is what the sensor reads, where all vehicles are in it, and the light itself. A shard is some
-frames of one case: their raws as PNG of 16 bits, one NetCDF-4 file with the rest, tables of boxes and of the
-truth, and a TOML file that is written last and names them all with their SHA-256.
+A labelled frame is the readout of the sensor, the positions of all vehicles in it, and the light. A shard is
+some frames of one case: their raws as PNG of 16 bits, one NetCDF-4 file with the rest, tables of boxes and of
+the truth, and a TOML file with the SHA-256 of each, which is written last.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -32,7 +32,7 @@ from glintrack.results.epoch import Imaged, box_rows, label_mask, vehicle_boxes
 from glintrack.sensor import Sensor, frame_of, noiseless_frame, read_out
 
 NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
-_MOST_COUNTS = 65535
+_MAX_COUNT = 65535
 BOX_COLUMNS = {**FRAME_COLUMNS, "speed_m_s": "speed"}
 TRUTH_COLUMNS = {
     "time_s": "time_s",
@@ -60,21 +60,21 @@ class LabelledFrame:
     Parameters
     ----------
     index, time_s
-        Which frame of the flight, from 0, and when. [s]
+        Index of the frame in the flight, from 0, and its time. [s]
     raw
-        Counts of every element, what calibration knows taken out. [count]
+        Calibrated counts of every element. [count]
     image
-        Rectified by the reported pose: schema ``image``.
+        Image rectified by the reported pose: schema ``image``.
     light
         Stokes vectors without noise, blur or mosaic at the superpixels, in the detector's axes.
     mask
-        Id of the vehicle that each element's middle shows, −1 for none.
+        Id of the vehicle at the centre of each element, −1 for none.
     boxes
-        Rows of `results.epoch.BOX_COLUMNS`, with ``speed``; parked vehicles too.
+        Rows of `results.epoch.BOX_COLUMNS`, with ``speed``; also of parked vehicles.
     truth
         Rows of all moving vehicles of the city, seen or not.
     true_pose, reported_pose
-        Of the camera.
+        Poses of the camera.
     """
 
     index: int
@@ -89,15 +89,15 @@ class LabelledFrame:
     reported_pose: Pose
 
 
-def labelled_frames(case: Case, scenario: Scenario, frames: Iterable[int]) -> Iterator[LabelledFrame]:
-    """Fly some frames of a case; each is the one that a run has, whatever is flown beside it.
+def simulate_frames(case: Case, scenario: Scenario, frames: Iterable[int]) -> Iterator[LabelledFrame]:
+    """Simulate some frames of a case; each is independent of the others.
 
     Parameters
     ----------
     case, scenario
-        The design, and what `scenario.build_scenario` makes of it.
+        The design, and its scenario of `case.build.build_scenario`.
     frames
-        Which, from 0.
+        Indices of the frames, from 0.
     """
     observer, sensor, flight = scenario.observer, scenario.sensor, scenario.flight
     city, errors = scenario.city, case_navigation_errors(case, flight.times_s)
@@ -113,6 +113,7 @@ def labelled_frames(case: Case, scenario: Scenario, frames: Iterable[int]) -> It
             case.ortho.method, surface,
         )  # fmt: skip
         imaged = Imaged(observer, city.at(t), truth, true_pose, reported_pose)
+        rows = truth.rename_dims(vehicle="row").reset_index("vehicle").rename_vars(vehicle="vehicle_id")
         yield LabelledFrame(
             index=k,
             time_s=t,
@@ -121,20 +122,20 @@ def labelled_frames(case: Case, scenario: Scenario, frames: Iterable[int]) -> It
             light=noiseless_frame(true.light, sensor, t)["stokes_radiance"].values[..., :3],
             mask=label_mask(imaged).values,
             boxes=_boxes(imaged, k, t),
-            truth=_rows(truth, t),
+            truth=rows.assign(time_s=("row", np.full(rows.sizes["row"], t), {"units": "s"})),
             true_pose=true_pose,
             reported_pose=reported_pose,
         )
 
 
 def counts_of(measured: Float[Array, "row column"], sensor: Sensor) -> UInt[Array, "row column"]:
-    """Counts of the design's quantizer for what the elements read; below zero there are none. [count]"""
+    """Quantize a readout to counts of the design, from 0. [count]"""
     counts = measured / _readings_per_count(sensor, measured.shape)
-    return np.clip(np.rint(counts), 0, _MOST_COUNTS).astype(np.uint16)
+    return np.clip(np.rint(counts), 0, _MAX_COUNT).astype(np.uint16)
 
 
 def readings_of(counts: UInt[Array, "row column"], sensor: Sensor) -> Float[Array, "row column"]:
-    """What the elements read, of `counts_of`. [W m⁻² sr⁻¹ µm⁻¹]"""
+    """Convert counts back to the readout. [W m⁻² sr⁻¹ µm⁻¹]"""
     return (counts * _readings_per_count(sensor, counts.shape)).astype(np.float32)
 
 
@@ -144,7 +145,7 @@ def _readings_per_count(sensor: Sensor, shape: tuple[int, ...]) -> Float[Array, 
 
 
 def _boxes(imaged: Imaged, frame: int, time_s: float) -> xr.Dataset:
-    """Rows of boxes with each vehicle's speed over ground; parked ones stand."""
+    """Rows of boxes with each vehicle's speed over ground, 0 for parked ones."""
     boxes, truth = vehicle_boxes(imaged), imaged.truth
     speed = np.hypot(truth["east_speed"].values, truth["north_speed"].values)
     known = dict(zip(truth["vehicle"].values.tolist(), speed.tolist(), strict=True))
@@ -153,75 +154,31 @@ def _boxes(imaged: Imaged, frame: int, time_s: float) -> xr.Dataset:
     return box_rows(boxes, frame, time_s)
 
 
-def _rows(truth: xr.Dataset, time_s: float) -> xr.Dataset:
-    """The truth as rows."""
-    rows = truth.rename_dims(vehicle="row").reset_index("vehicle").rename_vars(vehicle="vehicle_id")
-    return rows.assign(time_s=("row", np.full(rows.sizes["row"], time_s), {"units": "s"}))
-
-
-@dataclass(frozen=True)
-class ShardFiles:
-    """Where a shard's files lie below the folder of its set."""
-
-    shard: Shard
-
-    @property
-    def data(self) -> str:
-        """NetCDF-4: light, rectified channels, masks, poses."""
-        return f"shards/{self.shard.name}.nc"
-
-    @property
-    def boxes(self) -> str:
-        """CSV of boxes."""
-        return f"shards/{self.shard.name}.boxes.csv"
-
-    @property
-    def truth(self) -> str:
-        """CSV of the moving vehicles."""
-        return f"shards/{self.shard.name}.truth.csv"
-
-    @property
-    def seal(self) -> str:
-        """TOML with the key of what the shard holds, and the hashes of its files."""
-        return f"shards/{self.shard.name}.toml"
-
-    def raw(self, frame: int) -> str:
-        """PNG of a frame's raw; numbers from 1, as MOTChallenge counts."""
-        return f"raw/{self.shard.case.name}/{frame + 1:06d}.png"
-
-    @property
-    def all(self) -> list[str]:
-        """What the seal vouches for."""
-        return [self.data, self.boxes, self.truth, *(self.raw(k) for k in self.shard.frames)]
-
-
 def is_done(folder: Path, shard: Shard) -> bool:
-    """Whether a shard lies there whole, of the same design and version."""
-    files = ShardFiles(shard)
-    path = folder / files.seal
+    """Return True if a folder has a whole shard of the same design and version."""
+    path = folder / shard.file("toml")
     if not path.is_file():
         return False
     seal = read_toml(path, "shard")
     sums = seal.get("sha256", {})
-    if seal.get("key") != shard.key or set(sums) != set(files.all):
+    if seal.get("key") != shard.key or set(sums) != set(shard.files):
         return False
-    return all((folder / n).is_file() and file_hash(folder / n) == sums[n] for n in files.all)
+    return all((folder / n).is_file() and file_hash(folder / n) == sums[n] for n in shard.files)
 
 
 def write_shard(folder: Path, shard: Shard, frames: Sequence[LabelledFrame]) -> None:
-    """Write a shard's files, its seal last."""
-    files = ShardFiles(shard)
-    (folder / files.raw(0)).parent.mkdir(parents=True, exist_ok=True)
+    """Write a shard's files, and their hashes last."""
+    (folder / shard.raw(0)).parent.mkdir(parents=True, exist_ok=True)
     for frame in frames:
-        write_counts(folder / files.raw(frame.index), frame.raw)
-    write_dataset(folder / files.data, _data(frames))
-    for name, rows, columns in (
-        (files.boxes, [f.boxes for f in frames], BOX_COLUMNS),
-        (files.truth, [f.truth for f in frames], TRUTH_COLUMNS),
+        write_counts(folder / shard.raw(frame.index), frame.raw)
+    write_dataset(folder / shard.file("nc"), _data(frames))
+    for ending, rows, columns in (
+        ("boxes.csv", [f.boxes for f in frames], BOX_COLUMNS),
+        ("truth.csv", [f.truth for f in frames], TRUTH_COLUMNS),
     ):
-        write_table(folder / name, xr.concat(rows, "row", combine_attrs="override"), columns)
-    sums = {name: file_hash(folder / name) for name in files.all}
-    write_text(folder / files.seal, to_toml({"key": shard.key, "sha256": sums}))
+        write_table(folder / shard.file(ending), xr.concat(rows, "row", combine_attrs="override"), columns)
+    sums = {name: file_hash(folder / name) for name in shard.files}
+    write_text(folder / shard.file("toml"), to_toml({"key": shard.key, "sha256": sums}))
 
 
 def file_hash(path: Path) -> str:
@@ -230,39 +187,31 @@ def file_hash(path: Path) -> str:
 
 
 def _data(frames: Sequence[LabelledFrame]) -> xr.Dataset:
-    first = frames[0]
-    poses = {
-        name: (
-            ("frame", "component"),
-            np.array([[getattr(pose, key) for key in POSE] for pose in chosen]),
-            {"units": "m, rad", "long_name": f"{name.split('_')[0]} pose of the camera"},
-        )
-        for name, chosen in (
-            ("true_pose", [f.true_pose for f in frames]),
-            ("reported_pose", [f.reported_pose for f in frames]),
-        )
-    }
+    def stack(values: Iterable[np.ndarray], dtype: type) -> np.ndarray:
+        return np.stack([np.asarray(value).astype(dtype) for value in values])
+
+    def poses(kind: str) -> tuple:
+        rows = [[getattr(getattr(frame, f"{kind}_pose"), key) for key in POSE] for frame in frames]
+        about = {"units": "m, rad", "long_name": f"{kind} pose of the camera"}
+        return ("frame", "component"), np.array(rows), about
+
     images = {
-        name: np.stack([f.image[name].values.astype(np.float32) for f in frames])
+        name: stack((f.image[name].values for f in frames), np.float32)
         for name in ("pan", "stokes_radiance", "dolp")
     }
-    ground, stokes = ("frame", "north", "east"), ("stokes",)
+    ground, first = ("frame", "north", "east"), frames[0]
     axis = {"units": RADIANCE, "stokes_frame": "meridian"}
-    light = np.stack([f.light for f in frames]).astype(np.float32)
     detector = {"units": RADIANCE, "stokes_frame": "detector", "long_name": "without noise, blur or mosaic"}
-    mask = np.stack([f.mask for f in frames]).astype(np.int32)
+    about_mask = {"units": "1", "long_name": "vehicle_id, -1 for none"}
     return xr.Dataset(
         {
-            "light": (("frame", "y", "x", *stokes), light, detector),
-            "mask": (
-                ("frame", "row", "column"),
-                mask,
-                {"units": "1", "long_name": "vehicle_id, -1 for none"},
-            ),
+            "light": (("frame", "y", "x", "stokes"), stack((f.light for f in frames), np.float32), detector),
+            "mask": (("frame", "row", "column"), stack((f.mask for f in frames), np.int32), about_mask),
             "pan": (ground, images["pan"], {"units": RADIANCE}),
-            "stokes_radiance": ((*ground, *stokes), images["stokes_radiance"][..., :3], axis),
+            "stokes_radiance": ((*ground, "stokes"), images["stokes_radiance"][..., :3], axis),
             "dolp": (ground, images["dolp"], {"units": "1"}),
-            **poses,
+            "true_pose": poses("true"),
+            "reported_pose": poses("reported"),
         },
         coords={
             "frame": [f.index for f in frames],
@@ -274,9 +223,3 @@ def _data(frames: Sequence[LabelledFrame]) -> xr.Dataset:
         },
         attrs={"gsd_m": float(first.image.attrs["gsd_m"])},
     )
-
-
-def pose_of(values: np.ndarray, kind: str) -> Pose:
-    """Pose of a row of ``true_pose`` or ``reported_pose``."""
-    numbers = dict(zip(POSE, (float(v) for v in values), strict=True))
-    return Pose(**numbers, kind="true" if kind == "true" else "reported")
