@@ -10,7 +10,7 @@ from glintrack.io.untrusted import resolve_path
 
 
 class FlightDesign(Design):
-    """How the aircraft flies and when the shutter opens; the ``[flight]`` table of a case.
+    """Path, gimbal and frame times; the ``[flight]`` table of a case.
 
     Altitude, off-nadir angle (the declination of Table 1) and azimuth from the sun put the aircraft at its
     *viewpoint*. An orbit starts there and keeps its distance; a straight flight and a racetrack pass it at
@@ -27,7 +27,7 @@ class FlightDesign(Design):
         description="Height of the lens above the stare point, within atmosphere.altitudes_m",
     )
     off_nadir_deg: float = Field(
-        default=50.0, ge=0, le=70, description="Of the line of sight from nadir at the viewpoint"
+        default=50.0, ge=0, le=70, description="Angle of the line of sight from nadir at the viewpoint"
     )
     azimuth_from_sun_deg: float = Field(
         default=0.0,
@@ -35,9 +35,9 @@ class FlightDesign(Design):
         le=360,
         description="Azimuth of the line of sight from the sun's, clockwise; 0 looks toward the sun",
     )
-    speed_m_s: float = Field(default=80.0, ge=0, le=400, description="Along the path")
+    speed_m_s: float = Field(default=80.0, ge=0, le=400, description="Speed along the path")
     direction: Literal["clockwise", "counterclockwise"] = Field(
-        default="clockwise", description="Seen from above"
+        default="clockwise", description="Sense of the path, seen from above"
     )
     stare_east_m: float = Field(default=0.0, ge=-1e6, le=1e6, description="Stare point, ENU")
     stare_north_m: float = Field(default=0.0, ge=-1e6, le=1e6, description="Stare point, ENU")
@@ -50,7 +50,10 @@ class FlightDesign(Design):
     )
     leg_m: float = Field(default=4000.0, gt=0, le=1e5, description="Straight legs of a racetrack")
     turn_radius_m: float = Field(
-        default=1000.0, gt=0, le=5e4, description="Half circles of a racetrack; its far leg lies beyond them"
+        default=1000.0,
+        gt=0,
+        le=5e4,
+        description="Half circles of a racetrack, between its legs",
     )
     waypoint_file: str | None = Field(
         default=None, description="CSV or KML with the path, relative to the case (docs/guide/case.md)"
@@ -59,13 +62,13 @@ class FlightDesign(Design):
         default=0.0, ge=-1000, le=20000, description="Height of ENU zero in the waypoint file's altitudes"
     )
     gimbal: Literal["stare", "fixed"] = Field(
-        default="stare", description="Held on the stare point, or at fixed angles to the airframe"
+        default="stare", description="Pointed at the stare point, or at fixed angles to the airframe"
     )
     gimbal_azimuth_deg: float = Field(
-        default=0.0, ge=-360, le=360, description="Of a fixed gimbal, clockwise from the nose"
+        default=0.0, ge=-360, le=360, description="Azimuth of a fixed gimbal, clockwise from the nose"
     )
     gimbal_depression_deg: float = Field(
-        default=90.0, gt=0, le=90, description="Of a fixed gimbal, below the airframe's horizon"
+        default=90.0, gt=0, le=90, description="Angle of a fixed gimbal below the airframe's horizon"
     )
     jitter_rms_urad: float = Field(
         default=0.0,
@@ -76,8 +79,8 @@ class FlightDesign(Design):
     start_s: float = Field(
         default=0.0, ge=0, le=1e6, description="Time of the first frame on the traffic's clock"
     )
-    frames: int = Field(default=60, ge=1, le=100000, description="How many frames")
-    rate_hz: float = Field(default=2.0, gt=0, le=1000, description="Frames a second")
+    frames: int = Field(default=60, ge=1, le=100000, description="Number of frames")
+    rate_hz: float = Field(default=2.0, gt=0, le=1000, description="Frame rate")
 
     @model_validator(mode="after")
     def _keys_fit_the_kind(self) -> Self:
@@ -89,7 +92,7 @@ class FlightDesign(Design):
         return self
 
     def located(self, folder: Path) -> "FlightDesign":
-        """The same design with a relative file name taken from a folder."""
+        """Resolve a relative file name from a folder."""
         if self.waypoint_file is None:
             return self
         return self.model_copy(update={"waypoint_file": str(resolve_path(folder / self.waypoint_file))})

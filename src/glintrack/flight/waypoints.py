@@ -1,8 +1,7 @@
-"""A path through points, from CSV or KML: positions and, where known, attitude between them.
+"""Flight path through waypoints from CSV or KML: positions and, if given, attitudes between them.
 
-CSV is in ENU metres or in degrees; KML is a line, or a track with times. Nothing is guessed: a column
-without its unit in its name, an altitude that hangs on the ground below (``clampToGround``) or a point
-without altitude is refused.
+CSV is in ENU metres or in degrees; KML is a line, or a track with times. Columns without units, points
+without altitude, and altitudes relative to unknown ground (``clampToGround``) are errors.
 """
 
 from dataclasses import dataclass
@@ -20,36 +19,34 @@ from glintrack.io.crs import change_crs
 from glintrack.io.tables import read_csv
 from glintrack.io.untrusted import plain, read_text
 
-_COINCIDENT_M = 1e-6
+_MIN_STEP_M = 1e-6
 
 
 @dataclass(frozen=True)
 class Waypoints:
-    """Places that an aircraft passes, in the order flown.
+    """Waypoints in order.
 
     Parameters
     ----------
     place_m
         East, north, up of each. [m]
     time_s
-        When it is passed, on the clock of the case; None if the file does not say: then it is passed at the
-        design's speed, the first at the first frame. [s]
+        Time of each on the clock of the case; None for the design's speed from the first frame. [s]
     attitude_rad
-        Heading, roll, pitch at each; None if the file does not say: then the nose points along the path,
-        wings level. [rad]
+        Heading, roll, pitch at each; None for a nose along the path and level wings. [rad]
     """
 
     place_m: Float[Array, "point 3"]
     time_s: Float[Array, "point"] | None = None
     attitude_rad: Float[Array, "point 3"] | None = None
 
-    def timed(self, start_s: float, speed_m_s: float) -> "Waypoints":
-        """The same points with a time each.
+    def with_times(self, start_s: float, speed_m_s: float) -> "Waypoints":
+        """Check the waypoints, and compute their times if they have none.
 
         Raises
         ------
         ValueError
-            If there are fewer than two, two coincide, or the speed is nought where times are needed.
+            If there are fewer than two, two coincide, or the speed is 0 and times are needed.
         """
         if len(self.place_m) < 2:
             raise ValueError(f"`waypoint_file` must hold two waypoints or more, got {len(self.place_m)}")
@@ -62,21 +59,19 @@ class Waypoints:
                 )
             return self
         step = np.linalg.norm(np.diff(self.place_m, axis=0), axis=1)
-        if (step < _COINCIDENT_M).any():
+        if (step < _MIN_STEP_M).any():
             raise ValueError(
                 "`waypoint_file` must not hold the same place twice in a row without times, got "
                 f"{self.place_m[int(step.argmin())].round(3).tolist()} twice"
             )
         if speed_m_s <= 0:
-            raise ValueError("`flight.speed_m_s` must be positive to fly waypoints without times, got 0")
+            raise ValueError("`flight.speed_m_s` must be positive for waypoints without times, got 0")
         time_s = start_s + np.concatenate([[0.0], np.cumsum(step)]) / speed_m_s
         return Waypoints(self.place_m, time_s, self.attitude_rad)
 
     def at(self, time_s: float) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-        """Place [m] and heading, roll, pitch [rad] at one time, straight on beyond the ends."""
-        times = self.time_s
-        if times is None:
-            raise ValueError("`waypoints` must have times before they are flown, got none (see `timed`)")
+        """Interpolate or extrapolate the position [m] and heading, roll, pitch [rad] at one time."""
+        times = self.clock_s
         k = int(np.clip(np.searchsorted(times, time_s, side="right") - 1, 0, len(times) - 2))
         part = (time_s - times[k]) / (times[k + 1] - times[k])
         step = self.place_m[k + 1] - self.place_m[k]
@@ -84,46 +79,51 @@ class Waypoints:
         if self.attitude_rad is None:
             return place, np.array([self._course(k), 0.0, 0.0])
         first, last = self.attitude_rad[k], self.attitude_rad[k + 1]
-        turn = np.remainder(last - first + np.pi, 2 * np.pi) - np.pi  # the short way round
+        turn = np.remainder(last - first + np.pi, 2 * np.pi) - np.pi
         return place, first + np.clip(part, 0, 1) * turn
 
     def _course(self, k: int) -> float:
-        """Course of a leg; that of the leg before where it goes straight up or stands still."""
-        while k >= 0:
-            east, north, _ = self.place_m[k + 1] - self.place_m[k]
-            if np.hypot(east, north) > _COINCIDENT_M:
+        """Course of a leg; that of the leg before for a vertical or empty leg."""
+        for i in range(k, -1, -1):
+            east, north, _ = self.place_m[i + 1] - self.place_m[i]
+            if np.hypot(east, north) > _MIN_STEP_M:
                 return float(np.arctan2(east, north))
-            k -= 1
         return 0.0
+
+    @property
+    def clock_s(self) -> Float[Array, "point"]:
+        """Times of waypoints that have them. [s]"""
+        if self.time_s is None:
+            raise ValueError("`waypoints` must have times, got none (see `with_times`)")
+        return self.time_s
 
 
 ENU = ("east_m", "north_m", "up_m")
 GEOGRAPHIC = ("longitude_deg", "latitude_deg", "altitude_m")
-_FARTHEST_M, _LONGEST_S = 1e7, 1e11
+_MAX_DISTANCE_M, _MAX_TIME_S = 1e7, 1e11
 ATTITUDE = ("heading_deg", "roll_deg", "pitch_deg")
 
 
 def read_waypoints(
     path: Path, crs: str | None, origin_m: tuple[float, float], datum_m: float, start_s: float
 ) -> Waypoints:
-    """Waypoints of a CSV or KML file in ENU.
+    """Read the waypoints of a CSV or KML file in ENU.
 
     Parameters
     ----------
     path
         ``.csv`` or ``.kml``.
     crs, origin_m
-        Projected CRS of the scene and the place of ENU (0, 0) in it, needed for longitudes. [m]
+        Projected CRS of the scene and the position of ENU (0, 0) in it, needed for longitudes. [m]
     datum_m
-        Height of ENU zero in the file's altitudes; not used where the file itself counts from the ground
-        (``relativeToGround``) or is in ENU. [m]
+        Height of ENU zero in the file's altitudes; not used for altitudes ``relativeToGround`` or ENU. [m]
     start_s
-        Time of the first frame; the first of a KML track's times is put there. [s]
+        Time of the first frame, and of the first point of a KML track. [s]
 
     Raises
     ------
     ValueError
-        In one sentence: what is wrong with the file.
+        If the file is missing, damaged, incomplete or out of range.
     """
     readers = {".csv": _read_csv, ".kml": _read_kml}
     if path.suffix.lower() not in readers:
@@ -145,10 +145,12 @@ def read_waypoints(
         found = readers[path.suffix.lower()](path, to_enu, datum_m, start_s)
     except ValueError as error:
         raise ValueError(plain(error, 500)) from error
-    if np.abs(found.place_m).max(initial=0) > _FARTHEST_M:
-        raise ValueError(f"`waypoint_file` must lie within {_FARTHEST_M:g} m of the scene, got {path.name}")
-    if found.time_s is not None and np.abs(found.time_s).max(initial=0) > _LONGEST_S:
-        raise ValueError(f"`waypoint_file` must have times within ±{_LONGEST_S:g} s, got {path.name}")
+    if np.abs(found.place_m).max(initial=0) > _MAX_DISTANCE_M:
+        raise ValueError(
+            f"`waypoint_file` must lie within {_MAX_DISTANCE_M:g} m of the scene, got {path.name}"
+        )
+    if found.time_s is not None and np.abs(found.time_s).max(initial=0) > _MAX_TIME_S:
+        raise ValueError(f"`waypoint_file` must have times within ±{_MAX_TIME_S:g} s, got {path.name}")
     return found
 
 
@@ -179,11 +181,8 @@ def _read_csv(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
     attitude = [key for key in ATTITUDE if key in header]
     if attitude and len(attitude) < len(ATTITUDE):
         raise ValueError(f"`waypoint_file` must give all of {', '.join(ATTITUDE)} or none, got {attitude}")
-    return Waypoints(
-        place,
-        columns(("time_s",))[:, 0] if "time_s" in header else None,
-        np.radians(columns(ATTITUDE)) if attitude else None,
-    )
+    time_s = columns(("time_s",))[:, 0] if "time_s" in header else None
+    return Waypoints(place, time_s, np.radians(columns(ATTITUDE)) if attitude else None)
 
 
 def _read_kml(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
@@ -192,9 +191,9 @@ def _read_kml(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
         root = fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise ValueError(f"`waypoint_file` must be plain KML, got {name}: {error}") from error
-    track = next((e for e in root.iter() if _tag(e) == "Track"), None)
-    line = next((e for e in root.iter() if _tag(e) == "LineString"), None)
-    found = track if track is not None else line
+    tagged = {_tag(e): e for e in reversed(list(root.iter()))}  # the first of each
+    track = tagged.get("Track")
+    found = tagged.get("LineString") if track is None else track
     if found is None:
         raise ValueError(f"`waypoint_file` must hold a LineString or a gx:Track, got neither in {name}")
     mode = next((str(e.text).strip() for e in found if _tag(e) == "altitudeMode"), "clampToGround")
@@ -236,7 +235,7 @@ def _triples(texts: list[list[str]], name: str) -> Array:
 
 def _seconds(text: str, name: str) -> float:
     try:
-        when = datetime.fromisoformat(text.strip().replace("Z", "+00:00"))
+        when = datetime.fromisoformat(text.strip())
     except ValueError as error:
         raise ValueError(f"`waypoint_file` must have times as in ISO 8601, got {text!r} in {name}") from error
     return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
