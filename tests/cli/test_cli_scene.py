@@ -32,7 +32,7 @@ def test_preview_shows_green_land_and_grey_streets(tmp_path):
 def test_a_scene_moves_with_the_files_beside_it(tmp_path):
     given = {"osm_file": str(tmp_path / "data" / "town.osm"), "dem_file": "/elsewhere/dem.tif"}
     design = SceneDesign(city="osm", **given)
-    written = design.beside(tmp_path)
+    written = design.with_relative_files(tmp_path)
     assert (written.osm_file, written.dem_file) == ("data/town.osm", "/elsewhere/dem.tif")
     assert written.located(tmp_path) == design
 

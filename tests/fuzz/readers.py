@@ -33,7 +33,7 @@ from glintrack.io.toml import read_toml
 from glintrack.report import build_page
 from glintrack.results import read as results_read
 from glintrack.results.read import read_result
-from glintrack.scene.materials import extended_library
+from glintrack.scene.materials import load_user_materials
 from glintrack.scene.objects.terrain import read_dem
 from glintrack.scene.read.fcd import read_fcd
 from glintrack.scene.read.mesh import read_mesh
@@ -352,7 +352,7 @@ def _spectrum(path: Path):
     table = path.with_name("materials-of-spectrum.toml")
     table.write_text(f'[mud]\nfile = "{path.name}"\nrefractive_index = 1.5\nroughness = 0.3\n'
                      "specular_weight = 0.5\n")  # fmt: skip
-    return extended_library(table)[0]
+    return load_user_materials(table)[0]
 
 
 def _recording(path: Path) -> None:
@@ -401,7 +401,7 @@ READERS = (
     Reader("etalon", ".toml", text(ETALON), _design(EtalonDesign)),
     Reader("micromirror", ".toml", text(MIRROR), _design(MicromirrorDesign)),
     Reader("lens", ".toml", text(LENS), lambda path: read_lens(str(path))),
-    Reader("materials", ".toml", text(MATERIALS), extended_library),
+    Reader("materials", ".toml", text(MATERIALS), load_user_materials),
     Reader("traffic, CSV", ".csv", text(FCD), _fcd),
     Reader("traffic, XML", ".xml", text(FCD_XML), _fcd),
     Reader("traffic, zipped XML", ".xml.gz", _zipped(FCD_XML), _fcd),

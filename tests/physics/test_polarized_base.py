@@ -10,7 +10,7 @@ from glintrack.camera import Pose, look_at
 from glintrack.render import shade, trace, unpack_sky
 from glintrack.render.shading.interface import MIN_COSINE_SUM, polarized_reflectance
 from glintrack.scene import SceneDesign, load_materials
-from glintrack.scene.materials import GREATEST_POLARIZED, extended_library
+from glintrack.scene.materials import MAX_POLARIZED_REFLECTANCE, load_user_materials
 from glintrack.stokes import frame_angle, rotate
 from tests.conftest import flat_sky, materials, plane, small_camera, snapshot
 from tests.oracles.shade_ray import shade_ray
@@ -108,7 +108,7 @@ def test_greatest_polarized_reflectance_is_that_of_the_range_check():
     """The limit of what a material may ask for: light of a base is never polarized beyond its intensity."""
     cosines = np.linspace(0.01, 1, 2000)
     greatest = max(polarized_reflectance(1.0, 0.0, 0.0, c) for c in cosines)
-    assert 0.97 * GREATEST_POLARIZED < greatest <= GREATEST_POLARIZED
+    assert 0.97 * MAX_POLARIZED_REFLECTANCE < greatest <= MAX_POLARIZED_REFLECTANCE
 
 
 def test_the_published_scale_gives_the_published_polarized_reflectance():
@@ -136,4 +136,4 @@ def test_what_is_refused(tmp_path, value, message):
         f"polarized_base = {value}\n"
     )
     with pytest.raises(ValueError, match=message):
-        extended_library(tmp_path / "own.toml")
+        load_user_materials(tmp_path / "own.toml")

@@ -12,8 +12,8 @@ from glintrack.render.rays.embree import EmbreeTracer
 from glintrack.scene import PAINT, SceneDesign, build_scene
 from glintrack.scene.objects.layout import body_to_enu
 from glintrack.scene.objects.surfaces import MARKING_M, PAVEMENT_M, ROAD_M, road_areas
-from glintrack.scene.sources.embedded import embedded_layout, embedded_recording
-from glintrack.scene.vehicles import MODELS
+from glintrack.scene.sources.embedded import fill_streets, load_shipped_recording
+from glintrack.scene.vehicles import VEHICLE_CLASSES
 
 LEAVES = ("leaf", "leaf_walnut", "leaf_conifer")
 
@@ -48,9 +48,9 @@ def test_same_seed_same_bytes(city, monkeypatch, tmp_path):
 
 
 def test_same_seed_same_layout_and_other_seed_other_layout():
-    network = embedded_recording().network.within(box(-150, -100, 0, 0))
+    network = load_shipped_recording().network.within(box(-150, -100, 0, 0))
     extent = (-140.0, -90.0, -10.0, -10.0)
-    one, again, other = (embedded_layout(network, extent, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    one, again, other = (fill_streets(network, extent, np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert one.buildings == again.buildings and one.trees == again.trees and one.parked == again.parked
     assert one.trees != other.trees and one.parked != other.parked
 
@@ -58,8 +58,8 @@ def test_same_seed_same_layout_and_other_seed_other_layout():
 @pytest.mark.slow
 def test_without_trees_there_is_no_leaf_and_all_else_stays(city):
     bare = build_scene(SceneDesign(seed=1, trees=False))
-    assert not faces_of(bare, *LEAVES).any() and bare.planted.model.max() <= len(MODELS)
-    grown = city.planted.model > len(MODELS)  # after the vehicles comes a hedge
+    assert not faces_of(bare, *LEAVES).any() and bare.planted.model.max() <= len(VEHICLE_CLASSES)
+    grown = city.planted.model > len(VEHICLE_CLASSES)  # after the vehicles comes a hedge
     assert (
         grown.sum() > 800 and bare.planted.transforms.tobytes() == city.planted.transforms[~grown].tobytes()
     )
@@ -69,7 +69,7 @@ def test_without_trees_there_is_no_leaf_and_all_else_stays(city):
 def test_half_of_the_trees_are_half_of_them_where_they_stood(city):
     half = build_scene(SceneDesign(seed=1, trees=0.5))
     places = [
-        {tuple(t) for t in one.planted.transforms[one.planted.model > len(MODELS), :, 3].tolist()}
+        {tuple(t) for t in one.planted.transforms[one.planted.model > len(VEHICLE_CLASSES), :, 3].tolist()}
         for one in (half, city)
     ]
     assert places[0] < places[1]
@@ -87,7 +87,7 @@ def test_what_is_planted_comes_first_and_never_moves(city):
     scale = np.sqrt(square[:, 0, 0])
     np.testing.assert_allclose(square, np.eye(3) * scale[:, None, None] ** 2, atol=1e-9)
     assert (np.linalg.det(one.transforms[..., :3]) > 0).all()
-    tree = one.model > len(MODELS)
+    tree = one.model > len(VEHICLE_CLASSES)
     np.testing.assert_allclose(scale[~tree], 1)
     assert 5 <= scale[tree].min()
 
@@ -176,7 +176,7 @@ def test_moving_vehicles_head_where_they_go(city):
 
 
 def test_vehicles_stand_on_the_carriageway_and_drive_on_the_right(city):
-    network = embedded_recording().network
+    network = load_shipped_recording().network
     streets = road_areas(network, box(-410, -290, 410, 290))
     shapely.prepare(streets.carriageway)
     for time_s in (0.0, 33.3, 66.6, 99.9):
@@ -218,7 +218,7 @@ def footprints(truth):
 
 
 def test_no_corner_of_a_vehicle_leaves_the_carriageway(city):
-    streets = road_areas(embedded_recording().network, box(-410, -290, 410, 290))
+    streets = road_areas(load_shipped_recording().network, box(-410, -290, 410, 290))
     a_kerb_brushed_m = 0.2
     for time_s in np.linspace(0.0, city.duration_s, 7):
         corners = shapely.points(shapely.get_coordinates(footprints(city.truth(time_s))))
@@ -274,7 +274,7 @@ def test_models_carry_the_paint_of_their_instance_only(city):
 
 
 def test_markings_lie_on_asphalt():
-    network = embedded_recording().network
+    network = load_shipped_recording().network
     streets = road_areas(network, box(-410, -290, 410, 290))
     assert streets.markings.difference(streets.carriageway).area == pytest.approx(0, abs=1e-6)
     parts = (streets.carriageway, streets.kerb, streets.pavement)

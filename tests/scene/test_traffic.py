@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from glintrack.scene.traffic import Traffic, bumper_to_centre, truth_dataset, warn_of_jam
-from glintrack.scene.vehicles import MODELS
+from glintrack.scene.traffic import Traffic, warn_of_jam
+from glintrack.scene.vehicles import VEHICLE_CLASSES, load_vehicles
 
-CAR, HATCH = list(MODELS).index("car"), list(MODELS).index("hatch")
+CAR, HATCH = list(VEHICLE_CLASSES).index("car"), list(VEHICLE_CLASSES).index("hatch")
 
 
 def driving(x, y, angle_deg, model=HATCH, step_s=0.1, first=0, steps=None):
@@ -31,14 +31,14 @@ def driving(x, y, angle_deg, model=HATCH, step_s=0.1, first=0, steps=None):
     ids=["E", "N", "S", "W"],
 )
 def test_centre_lies_half_a_length_behind_the_front_bumper(angle_deg, centre):
-    got = bumper_to_centre(np.array([[10.0, 5.0]]), np.array([math.radians(angle_deg)]), 4.0)
-    np.testing.assert_allclose(got, [centre], atol=1e-12)
+    _, states = driving([10.0], [5.0], [angle_deg]).at(0.0)
+    np.testing.assert_allclose(states[0, :2], centre, atol=1e-12)
 
 
 def test_hatchback_driving_east_is_where_its_bumper_says():
     traffic = driving(10 + np.arange(30) * 1.0, np.full(30, 5.0), np.full(30, 90.0))
     ids, states = traffic.at(0.0)
-    assert ids.tolist() == [0] and MODELS["hatch"].length_m == 4.0
+    assert ids.tolist() == [0] and load_vehicles()["hatch"].length_m == 4.0
     np.testing.assert_allclose(states[0], [8, 5, math.pi / 2, 10, 0], atol=1e-9)
 
 
@@ -85,11 +85,6 @@ def test_vehicle_is_there_only_from_its_first_to_its_last_sample():
 def test_traffic_that_is_not_a_number_is_refused():
     with pytest.raises(ValueError, match="`bumper_east` must be finite"):
         driving([0, np.nan], [0, 0], [0, 0])
-
-
-def test_truth_of_nobody_is_valid():
-    truth = truth_dataset(np.zeros(0, int), np.zeros((0, 5)), np.zeros((0, 3)))
-    assert truth.sizes["vehicle"] == 0
 
 
 def many(moving, standing):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from glintrack.scene import SceneDesign, build_scene, load_materials
-from glintrack.scene.materials import choose_paints, extended_library
+from glintrack.scene.materials import choose_paints, load_user_materials
 
 LILAC = """[lilac]
 file = "lilac.csv"
@@ -23,7 +23,7 @@ def write(tmp_path, text=LILAC, values=(0.1, 0.3, 0.3), last_um=2.6):
 
 
 def test_a_material_comes_after_the_librarys(tmp_path):
-    library, mesh = extended_library(write(tmp_path))
+    library, mesh = load_user_materials(write(tmp_path))
     plain = load_materials()
     assert library["material"].values.tolist() == [*plain["material"].values, "lilac"] and mesh == {}
     mine = library.sel(material="lilac")
@@ -49,7 +49,7 @@ def test_a_material_comes_after_the_librarys(tmp_path):
         ({"last_um": 1.0}, "lilac.csv"),
         (
             {"text": LILAC.replace("lilac.csv", "gone.csv")},
-            "`gone.csv` must be a file beside the materials file",
+            "`gone.csv` must be a file in the materials file",
         ),
         ({"text": LILAC.replace("[lilac]", "[asphalt]")}, "must give new names, got 'asphalt'"),
         ({"text": LILAC.replace("0.003", "7")}, "`lilac` must be a material: `roughness` must be .*1, got 7"),
@@ -61,11 +61,11 @@ def test_a_material_comes_after_the_librarys(tmp_path):
         ({"text": LILAC + 'optical_constants = "water_nk"\n'}, "exactly one of refractive_index, optical"),
         (
             {"text": LILAC.replace("refractive_index = 1.48", 'optical_constants = "mud_nk"')},
-            "`optical_constants` must be one of the packaged tables, got 'mud_nk'",
+            "`optical_constants` must be one of the packaged spectra, got 'mud_nk'",
         ),
         (
             {"text": LILAC.replace("refractive_index = 1.48", f'optical_constants = "{"m" * 300}"')},
-            "`optical_constants` must be one of the packaged tables, got 'mmm",
+            "`optical_constants` must be one of the packaged spectra, got 'mmm",
         ),
         ({"text": LILAC + "leaf_absorptance = 0.8\n"}, "`leaf_absorptance` must .* below 0.7, got 0.8"),
         ({"text": "[lilac"}, "`materials_file` must be valid TOML"),
@@ -74,7 +74,7 @@ def test_a_material_comes_after_the_librarys(tmp_path):
 )
 def test_bad_materials_get_one_sentence(tmp_path, change, sentence):
     with pytest.raises(ValueError, match=sentence) as error:
-        extended_library(write(tmp_path, **change))
+        load_user_materials(write(tmp_path, **change))
     assert "\n" not in str(error.value)
 
 
@@ -84,7 +84,7 @@ def test_a_leaf_and_an_interface_of_ones_own(tmp_path):
     path = write(tmp_path, text)
     (tmp_path / "lilac.csv").write_text("wavelength_um,reflectance,passed\n0.4,0.1,0.2\n2.5,0.3,0.6\n")
     (tmp_path / "nk.csv").write_text("wavelength_um,n,k\n0.4,1.6,0\n2.5,1.4,0.1\n")
-    mine = extended_library(path)[0].sel(material="lilac")
+    mine = load_user_materials(path)[0].sel(material="lilac")
     np.testing.assert_allclose(mine["transmittance"], 2 * mine["reflectance"])
     np.testing.assert_allclose(mine["refractive_index_spectrum"][[0, -1]], [1.6, 1.4])
     assert float(mine["refractive_index"]) == pytest.approx(1.6 - 0.2 * 0.25 / 2.1)
@@ -92,7 +92,7 @@ def test_a_leaf_and_an_interface_of_ones_own(tmp_path):
     with pytest.raises(
         ValueError, match="`lilac` must have a transmittance of at least 0 and at most 1 less"
     ):
-        extended_library(path)
+        load_user_materials(path)
 
 
 def test_panels_lie_where_they_are_asked_for_with_nothing_on_them(tmp_path):

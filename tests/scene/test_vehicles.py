@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from glintrack.scene.materials import load_materials, material_index
-from glintrack.scene.vehicles import MODELS, build_model
+from glintrack.scene.vehicles import VEHICLE_CLASSES, build_model, load_vehicles
 
 INDEX = material_index(load_materials())
-NAMES = list(MODELS)
+NAMES = list(VEHICLE_CLASSES)
 
 
 def built(name):
-    return build_model(MODELS[name], INDEX)
+    return build_model(load_vehicles()[name], INDEX)
 
 
 def face_normals(mesh):
@@ -50,7 +50,7 @@ def test_every_closed_part_faces_outward(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_size_is_that_of_the_vtype_about_the_centre_of_the_footprint(name):
-    design, vertices = MODELS[name], built(name).vertices
+    design, vertices = load_vehicles()[name], built(name).vertices
     half_millimetre = 5e-4
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     np.testing.assert_allclose(
@@ -76,7 +76,7 @@ def test_windscreen_rake_above_the_horizontal(name, least_deg, most_deg):
     front = (
         (mesh.material == INDEX["glass"])
         & (normal[:, 0] > 0)
-        & (np.abs(centre[:, 1]) < 0.25 * MODELS[name].width_m)
+        & (np.abs(centre[:, 1]) < 0.25 * load_vehicles()[name].width_m)
     )
     front &= np.abs(normal[:, 1]) < 0.5 * np.linalg.norm(normal, axis=1)
     middle = normal[front].sum(axis=0)
@@ -89,7 +89,7 @@ def test_painted_roof_is_crowned(name):
     mesh = built(name)
     normal, centre = face_normals(mesh)
     unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    roof = (mesh.material == -1) & (unit[:, 2] > 0.9) & (centre[:, 2] > 0.9 * MODELS[name].height_m)
+    roof = (mesh.material == -1) & (unit[:, 2] > 0.9) & (centre[:, 2] > 0.9 * load_vehicles()[name].height_m)
     tilts = np.degrees(np.arccos(np.clip(unit[roof, 2], -1, 1)))
     assert np.unique(np.round(tilts, 1)).size >= 3
 
@@ -105,7 +105,7 @@ def test_has_paint_glass_and_tyres_on_the_ground(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_tyres_are_round(name):
-    mesh, design = built(name), MODELS[name]
+    mesh, design = built(name), load_vehicles()[name]
     tyres = mesh.vertices[np.unique(mesh.faces[mesh.material == INDEX["tyre_rubber"]])].astype(float)
     axle = np.array([design.length_m / 2 - a for a in design.axles_m])
     nearest = axle[np.abs(tyres[:, :1] - axle).argmin(axis=1)]

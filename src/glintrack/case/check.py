@@ -149,7 +149,7 @@ def _of_sensor(of: Feasibility) -> Iterator[str]:
 def _of_view(case: Case, of: Feasibility) -> Iterator[str]:
     """A stare point so far beside the window that the array sees none of it; a mesh's window is its own."""
     flight, (wide, high) = case.flight, case.scene.size_m
-    if case.scene.window_is_the_meshs:
+    if case.scene.uses_mesh_window:
         return
     east, north = abs(flight.stare_east_m) - wide / 2, abs(flight.stare_north_m) - high / 2
     beside_m = math.hypot(max(east, 0.0), max(north, 0.0))

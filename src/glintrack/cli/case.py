@@ -43,12 +43,12 @@ def check(case: CaseArgument, allow_outside_paths: OutsidePathsOption = False) -
     if flight.kind == "waypoints":
         check_waypoints(flight)
     console = Console(soft_wrap=True, highlight=False)
-    if design.scene.names_files or design.scene.panels:
+    if design.scene.uses_files or design.scene.panels:
         with console.status("building the city …"):
-            recorded_s = build_scene(design.scene).duration_s
+            recording_duration_s = build_scene(design.scene).duration_s
     else:
-        recorded_s = design.scene.recorded_s
-    check_recorded(flight, recorded_s)
+        recording_duration_s = design.scene.recording_duration_s
+    check_recorded(flight, recording_duration_s)
     console.print(
         f"{path} is a valid case: {flight.frames} frames at {flight.rate_hz:g} Hz over {design.scene.city}",
         markup=False,

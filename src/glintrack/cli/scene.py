@@ -107,7 +107,7 @@ def build(
     console = Console()
     city = _built(design, console)
     _tell(city, console)
-    written = design.beside(output.parent)
+    written = design.with_relative_files(output.parent)
     atomic.write_text(output, _case_text(city, written))
     files = [name for key, name in written.model_dump().items() if key.endswith("_file") and name]
     allowed = " --allow-outside-paths" if any(Path(name).is_absolute() for name in files) else ""

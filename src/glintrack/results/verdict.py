@@ -248,7 +248,7 @@ def _small_field(budget: Mapping[str, float], case: Case | None) -> Iterator[str
     (across, along), seen = ground_view(case)[1], budget.get("in_view")
     if seen is not None:
         outside = f". {_per_hundred(1 - seen)} of 100 moving vehicles are outside"
-    elif case.scene.window_is_the_meshs:
+    elif case.scene.uses_mesh_window:
         return
     else:  # without a loss budget, from the areas
         seen, outside = min(across * along / math.prod(case.scene.size_m), 1.0), ", less than the window"

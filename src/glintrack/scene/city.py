@@ -1,8 +1,7 @@
-"""The city: what stands, what moves, and where everything is at any time."""
+"""Build a city from a design, and evaluate its meshes, instances and traffic at any time."""
 
-import difflib
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -11,11 +10,14 @@ from shapely.affinity import rotate, translate
 from shapely.geometry import Point, box
 from shapely.ops import unary_union
 
+from glintrack.core import schema
 from glintrack.core.arrays import Array
+from glintrack.core.designs import suggest_name
 from glintrack.core.interpolation import height_at
+from glintrack.core.schema import MOVING_SPEED_M_S
 from glintrack.io.gltf import Document
-from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
-from glintrack.scene.materials import choose_paints, extended_library, load_materials, material_index
+from glintrack.scene.design import SceneDesign
+from glintrack.scene.materials import choose_paints, load_materials, load_user_materials, material_index
 from glintrack.scene.objects.geometry import PAINT, Mesh, MeshBuilder
 from glintrack.scene.objects.layout import (
     MARGIN_M,
@@ -25,36 +27,20 @@ from glintrack.scene.objects.layout import (
     add_panel,
     body_to_enu,
     build_mesh,
-    grown,
+    expand_extent,
     no_instances,
     place_instances,
 )
 from glintrack.scene.objects.plants import hedge_model, tree_models
-from glintrack.scene.objects.terrain import (
-    is_level,
-    level_terrain,
-    read_dem,
-    rolling_terrain,
-    slope_at,
-)
-from glintrack.scene.read.fcd import read_fcd
-from glintrack.scene.read.sumo import shifted
-from glintrack.scene.sources.braunschweig import braunschweig_layout, braunschweig_recording
-from glintrack.scene.sources.embedded import drawn_recording, embedded_layout, embedded_recording
-from glintrack.scene.sources.site import (
-    ROCHESTER,
-    VEHICLE_MARGIN_M,
-    SceneOrigin,
-    Site,
-    mesh_site,
-    mesh_terrain,
-)
+from glintrack.scene.objects.terrain import flat_terrain, is_level, read_dem, rolling_terrain, slope_at
+from glintrack.scene.sources.braunschweig import braunschweig_site
+from glintrack.scene.sources.embedded import procedural_site
+from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Site, mesh_site, mesh_terrain
 from glintrack.scene.sources.user_network import network_site, resolve_file
-from glintrack.scene.traffic import Recording, Traffic, truth_dataset, warn_of_jam
+from glintrack.scene.traffic import Recording, Traffic, warn_of_jam
 from glintrack.scene.vehicles import build_models
 
-MOST_TREES = 60_000  # each is an instance of some hundred bytes here and about a thousand in the ray tracer
-BRAUNSCHWEIG_PERIOD_S = 0.6
+MAX_TREES = 60_000  # each is an instance of some hundred bytes here and about a thousand in the ray tracer
 _PARKED_PAINT_KEY = 1_000_000  # parked vehicles draw their paints from other keys than driving ones
 _RELIEF_KEY = 7  # hills are drawn from other numbers than buildings
 
@@ -66,20 +52,19 @@ class Snapshot:
     Parameters
     ----------
     static
-        What never moves.
+        Ground, buildings and panels.
     models
-        Meshes of vehicles (and of whatever else stands in several places) in their body frames: x forward,
-        y left, z up, origin on the ground below the centre.
+        Meshes of vehicles, hedges and trees in their body frames: x forward, y left, z up, origin on the
+        ground below the centre.
     transforms
         Body frame to ENU of each instance: a rotation, times a uniform scale for what may be scaled. [1, m]
     model, paint
         Index of each instance into ``models``, and of its paint into the materials.
     vehicle_id
-        Stable over time; the ``vehicle`` coordinate of the truth. −1 for an instance that is no vehicle of
-        the truth.
+        Stable over time; the ``vehicle`` coordinate of the truth. −1 for other instances.
     fixed
-        How many instances, from the first on, never move (trees, parked vehicles): the same in every snapshot
-        of a city.
+        Number of leading instances that never move (trees, hedges, parked vehicles), the same in every
+        snapshot of a city.
     """
 
     static: Mesh
@@ -91,10 +76,9 @@ class Snapshot:
     fixed: int = 0
 
     def without_traffic(self) -> "Snapshot":
-        """The same instant with what never moves alone."""
-        kept = slice(0, self.fixed)
-        instances = {n: getattr(self, n)[kept] for n in ("transforms", "model", "paint", "vehicle_id")}
-        return replace(self, **instances)
+        """Return the snapshot with only its fixed instances."""
+        names = ("transforms", "model", "paint", "vehicle_id")
+        return replace(self, **{name: getattr(self, name)[: self.fixed] for name in names})
 
 
 @dataclass(frozen=True)
@@ -114,9 +98,9 @@ class City:
     extent_m
         West, south, east, north of the window. [m]
     crs, origin_easting_m, origin_northing_m
-        Projected CRS, and the place of ENU (0, 0) in it; grid north is taken as north. [m]
+        Projected CRS, and the position of ENU (0, 0) in it; grid north is taken as north. [m]
     latitude_deg, longitude_deg
-        The same place.
+        Position of ENU (0, 0).
     traffic
         Trajectories.
     paints
@@ -124,9 +108,9 @@ class City:
     origin_height_m
         Height of ENU (0, 0, 0) in the terrain raster's datum. [m]
     assumptions
-        What was guessed because the data do not say, one sentence each.
+        Assumptions made where the data are incomplete, one sentence each.
     lanes
-        Centre lines on which cars drive, as a road map has them. [m]
+        Centre lines of the lanes for cars. [m]
     """
 
     static: Mesh
@@ -147,10 +131,10 @@ class City:
     lanes: tuple[Float[Array, "point 2"], ...] = ()
 
     def at(self, time_s: float) -> Snapshot:
-        """The city at a time of the case. [s]."""
+        """Evaluate the city at a time of the case. [s]"""
         ids, states = self._present(time_s)
-        position = np.c_[states[:, :2], self._ground(states)]
-        slope = None if self._level else slope_at(self.terrain, states[:, 0], states[:, 1])
+        position = np.c_[states[:, :2], height_at(self.terrain, states[:, 0], states[:, 1])]
+        slope = None if self._is_level else slope_at(self.terrain, states[:, 0], states[:, 1])
         planted = self.planted
         return Snapshot(
             static=self.static,
@@ -163,30 +147,43 @@ class City:
         )
 
     def truth(self, time_s: float) -> xr.Dataset:
-        """Where every vehicle is at a time of the case, as a Dataset of schema ``truth``.
+        """Evaluate the true state of every vehicle at a time of the case, as a Dataset of schema ``truth``.
 
-        Positions are centres of vehicles on the ground; parked vehicles are not among them. ``pitch`` is that
-        of the ground under the vehicle, nose up positive; ``inside`` and ``moving`` are 1 or 0.
+        Positions are centres of vehicles on the ground; parked vehicles are not among them. ``pitch`` is the
+        slope of the ground along the heading, nose up positive. ``inside`` is 1 within the window, ``moving``
+        1 from 1 m s⁻¹, else 0.
         """
         ids, states = self._present(time_s)
-        slope = slope_at(self.terrain, states[:, 0], states[:, 1])
-        rise = np.sin(states[:, 2]) * slope[:, 0] + np.cos(states[:, 2]) * slope[:, 1]
-        dimensions = self.traffic.dimensions[ids]
-        up = self._ground(states)
-        return truth_dataset(ids, states, dimensions, up, np.arctan(rise), self.extent_m)
+        x, y, heading, *speed = states.T
+        slope = slope_at(self.terrain, x, y)
+        length, width, height = self.traffic.dimensions[ids].T
+        west, south, east, north = self.extent_m
+        columns = {
+            "east": (x, "m"),
+            "north": (y, "m"),
+            "up": (height_at(self.terrain, x, y), "m"),
+            "east_speed": (speed[0], "m s-1"),
+            "north_speed": (speed[1], "m s-1"),
+            "heading": (heading, "rad"),
+            "pitch": (np.arctan(np.sin(heading) * slope[:, 0] + np.cos(heading) * slope[:, 1]), "rad"),
+            "length": (length, "m"),
+            "width": (width, "m"),
+            "height": (height, "m"),
+            "inside": ((x >= west) & (x <= east) & (y >= south) & (y <= north), "1"),
+            "moving": (np.hypot(*speed) >= MOVING_SPEED_M_S, "1"),
+        }
+        variables = {n: ("vehicle", np.asarray(v, float), {"units": u}) for n, (v, u) in columns.items()}
+        truth = xr.Dataset(variables, coords={"vehicle": np.asarray(ids, dtype=np.int64)})
+        return schema.check(truth, "truth")
 
-    @cached_property
+    @property
     def duration_s(self) -> float:
-        """Longest time of the case the traffic covers. [s]."""
+        """Duration of the recorded traffic. [s]"""
         return self.traffic.duration_s
 
     @cached_property
-    def _level(self) -> bool:
+    def _is_level(self) -> bool:
         return is_level(self.terrain)
-
-    def _ground(self, states: Float[Array, "vehicle 5"]) -> Float[Array, "vehicle"]:
-        """Height of the ground under vehicles. [m]"""
-        return height_at(self.terrain, states[:, 0], states[:, 1])
 
     def _present(self, time_s: float) -> tuple[Int[Array, "vehicle"], Float[Array, "vehicle 5"]]:
         if not -1e-6 <= time_s <= self.duration_s + 1e-6:  # a microsecond: rounding of the clock
@@ -206,7 +203,7 @@ def build_scene(design: SceneDesign) -> City:
     Parameters
     ----------
     design
-        What to build; the same design gives the same bytes.
+        Table ``[scene]`` of a case; the same design gives the same bytes.
 
     Raises
     ------
@@ -216,9 +213,8 @@ def build_scene(design: SceneDesign) -> City:
     """
     library, mesh_materials = load_materials(design.polarized_bases), {}
     if design.materials_file:
-        library, mesh_materials = extended_library(
-            resolve_file(design.materials_file), design.polarized_bases
-        )
+        path = resolve_file(design.materials_file)
+        library, mesh_materials = load_user_materials(path, design.polarized_bases)
     index = material_index(library)
     site = _site(design)
     panels = _panels(design, index, site.extent_m)  # a mesh's window is its own
@@ -228,10 +224,10 @@ def build_scene(design: SceneDesign) -> City:
     terrain, origin_height_m = _terrain(design, site)
     vehicles = build_models(index)
     if site.mesh is not None:
-        static = _joined(site.mesh.mesh(mesh_materials, index), panels, index, terrain)
+        static = _add_panels(site.mesh.mesh(mesh_materials, index), panels, index, terrain)
         planted, said = no_instances(), ()
     else:
-        layout, said = _planned(site, design.trees, panels, layout_rng)
+        layout, said = _plan_layout(site, design.trees, panels, layout_rng)
         keys = _PARKED_PAINT_KEY + np.arange(len(layout.parked))
         parked = choose_paints(library, keys, design.seed)
         ground = None if is_level(terrain) else terrain
@@ -260,62 +256,20 @@ def build_scene(design: SceneDesign) -> City:
 
 
 def record_traffic(design: SceneDesign) -> Recording:
-    """Streets and traffic of a design, where its ``traffic_file`` would have them.
-
-    Parameters
-    ----------
-    design
-        What to drive on, for how long and how densely; what stands there is not built.
+    """Record the streets and traffic of a design without building the city.
 
     Returns
     -------
-    In network coordinates for city ``net`` and ``osm``, else in ENU. [m]
+    Recording in the coordinates of a ``traffic_file``: those of the network for city ``net`` and ``osm``,
+    else ENU. [m]
     """
     site = _site(design)
-    east, north = site.traffic_origin_m
-    return Recording(
-        site.recording.network.shifted(east, north), shifted(site.recording.traffic, east, north)
-    )
+    return site.recording.shift(*site.traffic_origin_m)
 
 
 def _site(design: SceneDesign) -> Site:
-    match design.city:
-        case "embedded":
-            return _embedded_site(design)
-        case "braunschweig":
-            recording, place = braunschweig_recording(
-                design.extent_m,
-                VEHICLE_MARGIN_M,
-                design.traffic_duration_s,
-                design.traffic_insertion_period_s or BRAUNSCHWEIG_PERIOD_S,
-            )
-            fill = partial(braunschweig_layout, recording.network, design.extent_m)
-            return Site(recording, SceneOrigin(*place), design.extent_m, fill)
-        case "mesh":
-            return mesh_site(design)
-        case _:
-            return network_site(design)
-
-
-def _embedded_site(design: SceneDesign) -> Site:
-    shipped = design.size_m == DEFAULT_SIZE_M
-    said: tuple[str, ...] = ()
-    if design.ships_traffic:
-        recording = embedded_recording()
-    else:
-        recording = drawn_recording(
-            design.extent_m,
-            VEHICLE_MARGIN_M,
-            design.seed,
-            design.traffic_duration_s,
-            design.traffic_insertion_period_s,
-            shipped,
-        )
-    if design.traffic_file:
-        traffic, odd = read_fcd(resolve_file(design.traffic_file), grown(design.extent_m, VEHICLE_MARGIN_M))
-        recording, said = replace(recording, traffic=traffic), odd.sentences()
-    fill = partial(embedded_layout, recording.network, design.extent_m, shipped=shipped)
-    return Site(recording, ROCHESTER, design.extent_m, fill, assumptions=said)
+    sites = {"embedded": procedural_site, "braunschweig": braunschweig_site, "mesh": mesh_site}
+    return sites.get(design.city, network_site)(design)
 
 
 def _panels(
@@ -324,10 +278,9 @@ def _panels(
     found = []
     for k, panel in enumerate(design.panels):
         if panel.material not in index:
-            near = difflib.get_close_matches(panel.material, index, n=1)
-            remedy = f" (did you mean {near[0]!r}?)" if near else ""
             raise ValueError(
-                f"`scene.panels.{k}.material` must be one of the library, got {panel.material!r}{remedy}"
+                f"`scene.panels.{k}.material` must be one of the library, got {panel.material!r} "
+                f"({suggest_name(panel.material, index)})"
             )
         half_width, half_length = panel.width_m / 2, panel.length_m / 2
         slab = rotate(box(-half_width, -half_length, half_width, half_length), -panel.heading_deg)
@@ -343,8 +296,8 @@ def _panels(
 
 
 def _terrain(design: SceneDesign, site: Site) -> tuple[xr.Dataset, float]:
-    """Ground height under the window and its margin, and the datum of its zero. [m]"""
-    bounds = grown(site.extent_m, MARGIN_M)
+    """Ground height under the window and its margin, and the height of its zero. [m]"""
+    bounds = expand_extent(site.extent_m, MARGIN_M)
     if design.dem_file:
         origin = site.place.easting_m, site.place.northing_m
         return read_dem(resolve_file(design.dem_file), bounds, site.place.crs, origin)
@@ -353,46 +306,46 @@ def _terrain(design: SceneDesign, site: Site) -> tuple[xr.Dataset, float]:
         return rolling_terrain(bounds, design.hills_m, rng), 0.0
     if site.mesh is not None:
         return mesh_terrain(site.mesh, bounds), 0.0
-    return level_terrain(bounds), 0.0
+    return flat_terrain(bounds), 0.0
 
 
-def _planned(
+def _plan_layout(
     site: Site, share: float, panels: tuple[Panel, ...], rng: np.random.Generator
 ) -> tuple[Layout, tuple[str, ...]]:
-    """The city in plan: a share of its trees, no more than a scene carries, and nothing on the panels."""
+    """Plan the city with a share of its trees, at most `MAX_TREES`, and with nothing on the panels."""
     if site.layout is None:
         raise ValueError("`site` must have a layout or a mesh, got neither")
     layout = site.layout(rng)
-    layout = _thinned(layout, round(share * len(layout.trees)), rng)
+    layout = _thin_out(layout, round(share * len(layout.trees)), rng)
     said: tuple[str, ...] = ()
-    if len(layout.trees) > MOST_TREES:
-        said = (f"{MOST_TREES} of {len(layout.trees)} trees are kept, evenly thinned",)
-        layout = _thinned(layout, MOST_TREES, rng)
+    if len(layout.trees) > MAX_TREES:
+        said = (f"{MAX_TREES} of {len(layout.trees)} trees are used, evenly thinned out",)
+        layout = _thin_out(layout, MAX_TREES, rng)
     if panels:
         free = unary_union([p.shape.buffer(1.0) for p in panels])
+
+        def clear(things, distance_m):
+            return tuple(t for t in things if free.distance(Point(t.east_m, t.north_m)) > distance_m(t))
+
         layout = replace(
             layout,
             panels=panels,
-            trees=tuple(
-                t for t in layout.trees if free.distance(Point(t.east_m, t.north_m)) > t.crown_radius_m
-            ),
-            parked=tuple(v for v in layout.parked if free.distance(Point(v.east_m, v.north_m)) > 3.0),
-            hedges=tuple(h for h in layout.hedges if free.distance(Point(h.east_m, h.north_m)) > 1.5),
+            trees=clear(layout.trees, lambda tree: tree.crown_radius_m),
+            parked=clear(layout.parked, lambda _: 3.0),
+            hedges=clear(layout.hedges, lambda _: 1.5),
         )
     return layout, said
 
 
-def _thinned(layout: Layout, count: int, rng: np.random.Generator) -> Layout:
-    """The same city with so many of its trees, drawn evenly."""
+def _thin_out(layout: Layout, count: int, rng: np.random.Generator) -> Layout:
+    """Select a number of the trees evenly at random."""
     if count >= len(layout.trees):
         return layout
-    kept = np.sort(rng.permutation(len(layout.trees))[:count])
-    return replace(layout, trees=tuple(layout.trees[k] for k in kept))
+    chosen = np.sort(rng.permutation(len(layout.trees))[:count])
+    return replace(layout, trees=tuple(layout.trees[k] for k in chosen))
 
 
-def _joined(mesh: Mesh, panels: tuple[Panel, ...], index: dict[str, int], terrain: xr.Dataset) -> Mesh:
-    if not panels:
-        return mesh
+def _add_panels(mesh: Mesh, panels: tuple[Panel, ...], index: dict[str, int], terrain: xr.Dataset) -> Mesh:
     builder = MeshBuilder(index)
     builder.add_mesh(mesh, np.eye(3, 4), 0)
     for panel in panels:
@@ -403,8 +356,8 @@ def _joined(mesh: Mesh, panels: tuple[Panel, ...], index: dict[str, int], terrai
 def glb(snapshot: Snapshot, materials: xr.Dataset) -> bytes:
     """Encode a city at one instant as glTF 2.0 binary, the bytes of a ``.glb`` file.
 
-    Cars and trees are instances of their models. Colours are the materials' preview colours, glossy where the
-    material has an interface; spectra and polarization have no place there.
+    Vehicles and plants are instances of their models. Colours are the materials' preview colours, glossy
+    where the material has an interface; the format has no spectra and no polarization.
 
     Parameters
     ----------
@@ -414,6 +367,11 @@ def glb(snapshot: Snapshot, materials: xr.Dataset) -> bytes:
         The city's library.
     """
     document = Document()
+
+    def add_mesh(mesh: Mesh, name: str, paint: int = 0) -> int:
+        material = np.where(mesh.material == PAINT, paint, mesh.material)
+        return document.add_mesh(mesh.vertices, mesh.faces, material, name)
+
     rgb = materials["preview_rgb"].values
     rough, gloss, metal = (
         materials[name].values for name in ("roughness", "specular_weight", "extinction_index")
@@ -421,20 +379,14 @@ def glb(snapshot: Snapshot, materials: xr.Dataset) -> bytes:
     for k, name in enumerate(materials["material"].values):
         roughness = float(np.clip(np.sqrt(rough[k]) if gloss[k] > 0.2 else 1.0, 0.05, 1))
         document.add_material(str(name), rgb[k], 1.0 if metal[k] > 1 else 0.0, roughness)
-    document.add_node("ground and buildings", _add_to_document(document, snapshot.static, "static"))
+    document.add_node("ground and buildings", add_mesh(snapshot.static, "static"))
     made: dict[tuple[int, int], int] = {}
     for model, paint, transform, vehicle in zip(
         snapshot.model, snapshot.paint, snapshot.transforms, snapshot.vehicle_id, strict=True
     ):
         key = int(model), int(paint)
         if key not in made:
-            made[key] = _add_to_document(document, snapshot.models[key[0]], f"model {key[0]}", key[1])
+            made[key] = add_mesh(snapshot.models[key[0]], f"model {key[0]}", key[1])
         name = f"vehicle {int(vehicle)}" if vehicle >= 0 else "planted"
         document.add_node(name, made[key], transform)
     return document.bytes("ENU")
-
-
-def _add_to_document(document: Document, mesh: Mesh, name: str, paint: int = 0) -> int:
-    """A mesh of the scene, its paint filled in; its number."""
-    material = np.where(mesh.material == PAINT, paint, mesh.material)
-    return document.add_mesh(mesh.vertices, mesh.faces, material, name)

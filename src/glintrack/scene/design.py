@@ -1,5 +1,6 @@
 """Design of a city, its files, seed and traffic: the ``[scene]`` table of a case."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -14,23 +15,12 @@ LARGEST_M2 = 4e6
 DEFAULT_RELIEF_M = 6.0
 SHIPPED_DURATION_S = 120.0
 SUMO_PREFIX = "sumo:"
-_FILES = (
-    "net_file",
-    "polygons_file",
-    "osm_file",
-    "mesh_file",
-    "materials_file",
-    "dem_file",
-    "traffic_file",
-)
+_FILES = tuple(f"{name}_file" for name in ("net", "polygons", "osm", "mesh", "materials", "dem", "traffic"))
 # keys that belong to some cities only; every other key is for all of them
 _ONLY_FOR = {
-    "net_file": ("net",),
-    "polygons_file": ("net",),
+    **dict.fromkeys(("net_file", "polygons_file"), ("net",)),
     "osm_file": ("osm",),
-    "mesh_file": ("mesh",),
-    "mesh_up": ("mesh",),
-    "mesh_unit_m": ("mesh",),
+    **dict.fromkeys(("mesh_file", "mesh_up", "mesh_unit_m"), ("mesh",)),
     "centre_m": ("net", "osm"),
     "crs": ("net", "osm", "mesh"),
     "traffic_file": ("embedded", "net", "osm", "mesh"),
@@ -38,50 +28,48 @@ _ONLY_FOR = {
 _NEEDED = {"net": "net_file", "osm": "osm_file", "mesh": "mesh_file"}
 
 FileName = Annotated[str, Field(min_length=1)]
-
-
 Coordinate = Annotated[float, Field(ge=-1e7, le=1e7)]
 
 
 class PanelDesign(Design):
-    """A calibration panel that lies on the ground; one ``[[scene.panels]]`` table of a case."""
+    """A calibration panel on the ground; one ``[[scene.panels]]`` table of a case."""
 
     material: str
-    """Any of the library's: panel_05, panel_20, panel_50 and panel_80 are Lambertian; glass and paints have
-    their interface."""
+    """Material of the library: panel_05, panel_20, panel_50 and panel_80 are Lambertian; glass and paints
+    have their interface."""
     east_m: Coordinate
-    """Of its centre, ENU."""
+    """Easting of its centre, ENU."""
     north_m: Coordinate
-    """Of its centre, ENU."""
+    """Northing of its centre, ENU."""
     length_m: float = Field(default=8.0, gt=0, le=200)
-    """Along its heading."""
+    """Length along its heading."""
     width_m: float = Field(default=8.0, gt=0, le=200)
-    """Across its heading."""
+    """Width across its heading."""
     heading_deg: float = Field(default=0.0, ge=-360, le=360)
-    """Clockwise from north."""
+    """Heading, clockwise from north."""
 
 
 class SceneDesign(Design):
-    """What city, from what seed, with what traffic; the ``[scene]`` table of a case.
+    """City, seed and traffic; the ``[scene]`` table of a case.
 
-    A file name is looked up from the folder of the case that names it; one that begins with ``sumo:`` is
-    looked up in the installed SUMO wheel, where real networks lie: ``sumo:tools/game/DRT/osm.net.xml``.
+    A file name is relative to the folder of the case that names it. One that begins with ``sumo:`` is in the
+    installed SUMO wheel, which has real networks: ``sumo:tools/game/DRT/osm.net.xml``.
     """
 
     city: Literal["embedded", "braunschweig", "net", "osm", "mesh"] = "embedded"
     """embedded: procedural, with a shipped recording of traffic; braunschweig: the real network and
     footprints in the installed SUMO wheel; net: a SUMO network; osm: an OpenStreetMap extract; mesh:
-    triangles made elsewhere. All but the first and the last are driven by SUMO (extra `traffic`) unless a
-    traffic file is given."""
+    triangles of a user. SUMO (extra `traffic`) simulates the traffic of all but the first and the last,
+    unless a traffic file is given."""
     seed: int = Field(default=1, ge=0, le=2**63 - 1)
-    """Of everything drawn by chance: roofs, trees, parked vehicles, paints; not of the traffic."""
+    """Seed of roofs, trees, parked vehicles and paints; not of the traffic."""
     trees: float = Field(default=1.0, ge=0, le=1)
-    """Share of the city's trees that are planted; all else stays as it is. `true` is all, `false` none."""
+    """Share of the city's trees that are planted. `true` is all, `false` none."""
     width_m: float | None = Field(default=None, ge=50, le=20000)
-    """Of the window, west to east; 660 by default, for a mesh its own. An embedded city of another size gets
-    its own streets, and its traffic from SUMO."""
+    """Width of the window, west to east; 660 by default, for a mesh its own. An embedded city of another size
+    gets its own streets, and its traffic from SUMO."""
     height_m: float | None = Field(default=None, ge=50, le=20000)
-    """Of the window, south to north; 420 by default, for a mesh its own."""
+    """Height of the window, south to north; 420 by default, for a mesh its own."""
     centre_m: tuple[Coordinate, Coordinate] | None = None
     """Middle of the window in the network's coordinates; by default where the network is densest."""
     net_file: FileName | None = None
@@ -93,13 +81,13 @@ class SceneDesign(Design):
     mesh_file: FileName | None = None
     """Triangles: .glb, .gltf, .obj, .ply or .stl."""
     mesh_up: Literal["y", "z"] | None = None
-    """Which of the mesh's axes is up; by default y for glTF and z for the others."""
+    """Axis of the mesh that points up; by default y for glTF and z for the others."""
     mesh_unit_m: float | None = Field(default=None, gt=0, le=1e4)
     """Length of the mesh's unit."""
     materials_file: FileName | None = None
     """TOML with further materials, and under [mesh] the material of each of the mesh's own."""
     polarized_bases: bool = False
-    """Polarize what bases scatter, of materials with a `polarized_base` (asphalt, concrete): Umov's law."""
+    """Polarize the light of bases, for materials with a `polarized_base` (asphalt, concrete): Umov's law."""
     dem_file: FileName | None = None
     """Heights of the ground, any raster with a CRS that GDAL reads; the scene is draped over it."""
     crs: str | None = None
@@ -114,7 +102,7 @@ class SceneDesign(Design):
     """Floating-car data (SUMO's FCD as XML, CSV or Parquet) in the network's coordinates, or in ENU for an
     embedded city or a mesh."""
     traffic_duration_s: float = Field(default=120.0, gt=0, le=3600)
-    """Length of the recording SUMO makes; the embedded one is 120 s long, and SUMO drives for a longer."""
+    """Length of the recording SUMO makes; the shipped one is 120 s long, and SUMO simulates a longer one."""
     traffic_insertion_period_s: float | None = Field(default=None, ge=0.01, le=3600)
     """One vehicle enters each such interval; by default 0.6 s for Braunschweig, which keeps about 200 in the
     window, and as many a kilometre of lane elsewhere."""
@@ -151,66 +139,59 @@ class SceneDesign(Design):
 
     @property
     def size_m(self) -> tuple[float, float]:
-        """Window's width and height, the defaults where none is given. [m]."""
+        """Window's width and height, the defaults where none is given. [m]"""
         return self.width_m or DEFAULT_SIZE_M[0], self.height_m or DEFAULT_SIZE_M[1]
 
     @property
-    def window_is_the_meshs(self) -> bool:
-        """Whether the window is as large as a mesh that has not been read yet, whatever `size_m` says."""
+    def uses_mesh_window(self) -> bool:
+        """Return True if the window is that of a mesh, whatever `size_m` is."""
         return self.city == "mesh" and self.width_m is None and self.height_m is None
 
     @property
-    def own_traffic(self) -> bool:
-        """Whether SUMO must drive although a recording is shipped."""
+    def uses_shipped_traffic(self) -> bool:
+        """Return True if an embedded city of this design uses the shipped recording."""
         longer = self.traffic_duration_s > SHIPPED_DURATION_S
-        return self.traffic_file is None and (longer or self.traffic_insertion_period_s is not None)
+        simulated = longer or self.traffic_insertion_period_s is not None
+        return self.size_m == DEFAULT_SIZE_M and not (self.traffic_file is None and simulated)
 
     @property
-    def recorded_s(self) -> float:
-        """From time zero of the case to the recording's end, where no file of the user's has it. [s]."""
-        shipped = self.city == "embedded" and self.ships_traffic
+    def recording_duration_s(self) -> float:
+        """Duration of the traffic recording, without a traffic file of the user's. [s]"""
+        shipped = self.city == "embedded" and self.uses_shipped_traffic
         return SHIPPED_DURATION_S if shipped else self.traffic_duration_s
 
     @property
-    def ships_traffic(self) -> bool:
-        """Whether the embedded tile's own recording drives in an embedded city."""
-        return self.size_m == DEFAULT_SIZE_M and not self.own_traffic
-
-    @property
     def hills_m(self) -> float:
-        """Relief of the ground drawn by rule; 0 where the data bring their own ground. [m]."""
+        """Relief of the procedural ground; 0 where the data have their own ground. [m]"""
         if self.relief_m is not None:
             return self.relief_m
         return DEFAULT_RELIEF_M if self.city == "embedded" and not self.dem_file else 0.0
 
     @property
     def extent_m(self) -> Extent:
-        """The window in ENU. [m]."""
+        """Extent of the window in ENU. [m]"""
         wide, high = self.size_m
         return Extent(-wide / 2, -high / 2, wide / 2, high / 2)
 
     @property
-    def names_files(self) -> bool:
-        """Whether the city comes from files of the user's."""
+    def uses_files(self) -> bool:
+        """Return True if the city needs files of the user's."""
         return any(getattr(self, name) is not None for name in _FILES)
 
     def located(self, folder: Path) -> "SceneDesign":
-        """The same design with relative file names taken from a folder."""
-        names = {name: getattr(self, name) for name in _FILES}
-        found = {
-            name: str(resolve_path(folder / value))
-            for name, value in names.items()
-            if value is not None and not value.startswith(SUMO_PREFIX)
-        }
-        return self.model_copy(update=found) if found else self
+        """Resolve relative file names from a folder."""
+        return self._replace_files(lambda name: str(resolve_path(folder / name)))
 
-    def beside(self, folder: Path) -> "SceneDesign":
-        """The same design with files in a folder and below named from it, so that both may move."""
-        names = {name: getattr(self, name) for name in _FILES}
+    def with_relative_files(self, folder: Path) -> "SceneDesign":
+        """Make the names of files in a folder and below relative to it, so that both may move."""
         root = resolve_path(folder)
-        found = {
-            name: Path(value).relative_to(root).as_posix()
-            for name, value in names.items()
-            if value is not None and not value.startswith(SUMO_PREFIX) and Path(value).is_relative_to(root)
-        }
-        return self.model_copy(update=found) if found else self
+
+        def rename(name: str) -> str:
+            return Path(name).relative_to(root).as_posix() if Path(name).is_relative_to(root) else name
+
+        return self._replace_files(rename)
+
+    def _replace_files(self, rename: Callable[[str], str]) -> "SceneDesign":
+        names = {name: getattr(self, name) for name in _FILES}
+        own = {name: v for name, v in names.items() if v is not None and not v.startswith(SUMO_PREFIX)}
+        return self.model_copy(update={name: rename(value) for name, value in own.items()})

@@ -1,13 +1,13 @@
-"""The material library: base reflectance spectra and the figures of a Fresnel interface, as one Dataset.
+"""The material library: base reflectance spectra and Fresnel interfaces, as one Dataset.
 
-The library is data: ``data/materials.toml`` names for each material its spectrum among ``data/spectra`` and
-its surface. A cell that a source left blank at an end of its range holds the nearest measured value; blanks
-inside the range (the atmosphere's water bands in field spectra) are bridged by straight lines.
+``data/materials.toml`` defines the surface of each material and its spectrum in ``data/spectra``. Blank cells
+at an end of a spectrum get the nearest measured value. Blanks inside (the atmosphere's water bands in field
+spectra) are interpolated linearly.
 
 Transmittance of a leaf follows from its reflectance by the generalised plate model: N layers of one absorbing
 plate (Allen et al., J. Opt. Soc. Am. 59, 1376 (1969); 60, 542 (1970); Jacquemoud and Baret, Remote Sens.
-Environ. 34, 75 (1990), "PROSPECT"). At each wavelength the plate's inner transmittance is chosen so that the
-stack reflects what was measured. It is synthetic: reflectance is measured, transmittance is not.
+Environ. 34, 75 (1990), "PROSPECT"). At each wavelength the plate's inner transmittance is fitted to the
+measured reflectance. It is synthetic: reflectance is measured, transmittance is not.
 """
 
 import math
@@ -35,10 +35,9 @@ from glintrack.io.untrusted import is_file, resolve_path
 
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
-_LARGEST_INDEX = 100.0
-_LONGEST_NAME = 100
-GREATEST_POLARIZED = 0.0085  # polarized reflectance of `polarized_base` = 1 where it is greatest
-MOST_POLARIZED = 0.8  # of the light of a base; refraction polarizes it too
+_MAX_INDEX = 100.0
+MAX_POLARIZED_REFLECTANCE = 0.0085  # of `polarized_base` = 1
+MAX_POLARIZED_SHARE = 0.8  # of the light of a base; refraction polarizes it too
 _Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -69,18 +68,14 @@ class MaterialDesign(Design):
 
     @model_validator(mode="after")
     def _one_base(self) -> "MaterialDesign":
-        forms = ("spectrum", "mix", "constant", "file")
-        given = [n for n in forms if getattr(self, n) is not None]
-        if len(given) != 1:
-            raise ValueError(f"a material must have exactly one of {', '.join(forms)}, got {given or 'none'}")
+        bases = ("spectrum", "mix", "constant", "file")
+        indices = ("refractive_index", "optical_constants", "optical_constants_file")
+        for forms in (bases, indices):
+            given = [n for n in forms if getattr(self, n) is not None] or "none"
+            if len(given) != 1:
+                raise ValueError(f"a material must have exactly one of {', '.join(forms)}, got {given}")
         if self.mix is not None and sum(self.mix.values()) > 1 + 1e-6:
             raise ValueError(f"`mix` must hold shares that sum to 1 at most, got {sum(self.mix.values()):g}")
-        indices = ("refractive_index", "optical_constants", "optical_constants_file")
-        given = [n for n in indices if getattr(self, n) is not None]
-        if len(given) != 1:
-            raise ValueError(
-                f"a material must have exactly one of {', '.join(indices)}, got {given or 'none'}"
-            )
         if (self.diffuse == "oren_nayar") != (self.groove_slope_deg > 0):
             raise ValueError(
                 "a material must get a groove_slope_deg above 0 with diffuse = 'oren_nayar' and only then"
@@ -97,18 +92,11 @@ class MaterialDesign(Design):
 def read_spectrum(
     path: Traversable | Path, column: str = "reflectance"
 ) -> tuple[Float[Array, "wavelength"], Float[Array, "wavelength"]]:
-    """Wavelengths [µm] and one column [1] of a spectrum file with ``#`` header lines; blanks filled.
-
-    Parameters
-    ----------
-    path
-        CSV file whose first column is ``wavelength_um``.
-    column
-        Which column.
+    """Read one column of a spectrum file with ``#`` header lines and a column ``wavelength_um``.
 
     Returns
     -------
-    Wavelengths and values; blank ends hold the nearest measured value, blanks between are bridged linearly.
+    Wavelengths [µm] and values [1]; blank ends get the nearest value, blanks between are interpolated.
     """
     table = read_csv(Path(str(path)), path.name, types=str)
     if table.empty or column not in table or "wavelength_um" not in table:
@@ -127,32 +115,28 @@ def read_spectrum(
     return wavelength, np.interp(wavelength, wavelength[known], values[known])
 
 
-@lru_cache(maxsize=128)
-def _packaged(path: Traversable, column: str) -> tuple[Array, Array]:
-    """`read_spectrum` of a file that comes with the package: several materials share one."""
-    return read_spectrum(path, column)
+_read_packaged = lru_cache(maxsize=128)(read_spectrum)  # several materials share a file
 
 
 @lru_cache(maxsize=2)
 def load_materials(polarized_bases: bool = False) -> xr.Dataset:
-    """The packaged library as a Dataset of schema ``materials``.
+    """Load the packaged library as a Dataset of schema ``materials``.
 
     Parameters
     ----------
     polarized_bases
-        Whether ``polarized_base`` holds the library's figures; else it is 0.
+        True: ``polarized_base`` has the library's values. False: it is 0.
 
     Returns
     -------
-    ``reflectance(material, wavelength)`` and ``transmittance(material, wavelength)`` (of leaves, 0 for all
-    else) over 0.4–2.5 µm, ``refractive_index`` and ``extinction_index`` at 0.65 µm and the same over
-    wavelength as ``refractive_index_spectrum`` and ``extinction_index_spectrum``, GGX ``roughness``,
-    ``specular_weight`` (fraction of a facet with a Fresnel interface), ``polarized_base`` (scale of what a
-    base polarizes by itself, `render.shading.polarized_base`), ``mottle`` (relative standard
-    deviation of the slow change of reflectance over the ground), ``gap_fraction`` (part of a facet that is
-    holes, for cards that stand for sprays of leaves), ``paint_share`` (fraction of vehicles with
-    that paint, 0 for what is no paint) and ``preview_rgb`` (sRGB, gamma-encoded, for pictures). Treat it as
-    read-only.
+    ``reflectance(material, wavelength)`` and ``transmittance(material, wavelength)`` (0 except for leaves)
+    over 0.4–2.5 µm, ``refractive_index`` and ``extinction_index`` at 0.65 µm and the same over wavelength as
+    ``refractive_index_spectrum`` and ``extinction_index_spectrum``, GGX ``roughness``, ``specular_weight``
+    (fraction of a facet with a Fresnel interface), ``polarized_base`` (scale of the polarization of a base,
+    `render.shading.polarized_base`), ``mottle`` (relative standard deviation of the slow change of
+    reflectance over the ground), ``gap_fraction`` (share of holes in a leaf card), ``paint_share`` (fraction
+    of vehicles with that paint, 0 for other materials) and ``preview_rgb`` (sRGB, gamma-encoded, for
+    pictures). Treat it as read-only.
     """
     data = resources.files("glintrack") / "data"
     table = tomllib.loads((data / "materials.toml").read_text(encoding="utf-8"))
@@ -160,17 +144,17 @@ def load_materials(polarized_bases: bool = False) -> xr.Dataset:
     return _dataset(designs, None, polarized_bases)
 
 
-def extended_library(path: Path, polarized_bases: bool = False) -> tuple[xr.Dataset, dict[str, str]]:
-    """The packaged library and a user's own materials after it.
+def load_user_materials(path: Path, polarized_bases: bool = False) -> tuple[xr.Dataset, dict[str, str]]:
+    """Load the packaged library, followed by a user's own materials.
 
     Parameters
     ----------
     path
-        TOML file: one table a material, of the form of ``data/materials.toml`` (``file`` names a CSV beside
-        the TOML, with columns ``wavelength_um`` and ``reflectance``), and under ``[mesh]`` the material of
-        each of a mesh's own.
+        TOML file: one table per material, in the form of ``data/materials.toml`` (``file`` names a CSV in the
+        folder of the TOML, with columns ``wavelength_um`` and ``reflectance``), and under ``[mesh]`` the
+        material for each of a mesh's own.
     polarized_bases
-        See `load_materials`; of a user's materials too.
+        See `load_materials`; for a user's materials too.
 
     Returns
     -------
@@ -204,18 +188,16 @@ def extended_library(path: Path, polarized_bases: bool = False) -> tuple[xr.Data
     return schema.check(both, "materials"), mesh
 
 
-def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None, polarized_bases: bool) -> xr.Dataset:
-    """Dataset of schema ``materials``; ``file`` entries lie in the folder ``beside``."""
-    spectra = resources.files("glintrack") / "data" / "spectra"
+def _dataset(designs: Mapping[str, MaterialDesign], folder: Path | None, polarized_bases: bool) -> xr.Dataset:
+    """Dataset of schema ``materials``; ``file`` entries are in a folder."""
     wavelength = spectral.wavelength_grid()
     kinds = designs.values()
     reflectance, transmittance, constants, preview = [], [], [], []
     for name, design in designs.items():
-        base = _checked(name, _base(design, spectra, beside, wavelength), wavelength)
-        _check_polarized(name, design, float(base.min()))
+        base = _base(name, design, folder, wavelength)
         reflectance.append(base)
-        transmittance.append(_transmittance(name, design, base, beside, wavelength))
-        constants.append(_optical_constants(design, spectra, beside, wavelength))
+        transmittance.append(_transmittance(name, design, base, folder, wavelength))
+        constants.append(_optical_constants(design, folder, wavelength))
         preview.append(np.array(design.preview_rgb) if design.preview_rgb else _srgb(wavelength, base))
     constants = np.stack(constants)
     at_reference = constants[:, :, int(np.argmin(np.abs(wavelength - REFERENCE_WAVELENGTH_UM)))]
@@ -223,9 +205,8 @@ def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None, polariz
     def column(values: Iterable[float]) -> tuple:
         return "material", np.array(list(values)), {"units": "1"}
 
-    def scalar(name: str) -> tuple:
-        return column(getattr(d, name) for d in kinds)
-
+    scalars = {n: n for n in ("roughness", "specular_weight", "mottle", "gap_fraction")}
+    scalars["paint_share"] = "share"
     library = xr.Dataset(
         {
             "reflectance": (("material", "wavelength"), np.stack(reflectance), {"units": "1"}),
@@ -234,33 +215,16 @@ def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None, polariz
             "extinction_index": column(at_reference[:, 1]),
             "refractive_index_spectrum": (("material", "wavelength"), constants[:, 0], {"units": "1"}),
             "extinction_index_spectrum": (("material", "wavelength"), constants[:, 1], {"units": "1"}),
-            "roughness": scalar("roughness"),
-            "specular_weight": scalar("specular_weight"),
+            **{name: column(getattr(d, key) for d in kinds) for name, key in scalars.items()},
             "distribution": column(DISTRIBUTIONS.index(d.distribution) for d in kinds),
             "groove_slope": ("material", np.radians([d.groove_slope_deg for d in kinds]), {"units": "rad"}),
             "polarized_base": column(polarized_bases * d.polarized_base for d in kinds),
-            "mottle": scalar("mottle"),
-            "gap_fraction": scalar("gap_fraction"),
-            "paint_share": scalar("share"),
             "preview_rgb": (("material", "rgb"), np.stack(preview), {"units": "1"}),
         },
-        coords={
-            "material": list(designs),
-            "wavelength": ("wavelength", wavelength, {"units": "um"}),
-        },
+        coords={"material": list(designs), "wavelength": ("wavelength", wavelength, {"units": "um"})},
         attrs={"index_wavelength_um": REFERENCE_WAVELENGTH_UM},
     )
     return schema.check(library, "materials")
-
-
-def _check_polarized(name: str, design: MaterialDesign, darkest: float) -> None:
-    """Raise ValueError unless a base sends out more light than is polarized, in every direction."""
-    most = MOST_POLARIZED * darkest / GREATEST_POLARIZED
-    if design.polarized_base > most:
-        raise ValueError(
-            f"`{name}.polarized_base` must be at most {most:.3g} for a base that reflects {darkest:.3g} "
-            f"where it is darkest, got {design.polarized_base:g}"
-        )
 
 
 def material_index(materials: xr.Dataset) -> dict[str, int]:
@@ -269,26 +233,14 @@ def material_index(materials: xr.Dataset) -> dict[str, int]:
 
 
 def choose_paints(materials: xr.Dataset, keys: Int[Array, "key"], seed: int) -> Int[Array, "key"]:
-    """Material index of a paint for each key, in the library's proportions; a key always gets the same.
+    """Material index of a paint for each integer key, in the library's proportions.
 
-    Parameters
-    ----------
-    materials
-        Library with ``paint_share``.
-    keys
-        Vehicle ids or any integers.
-    seed
-        Changes the whole assignment.
+    The paint depends on the key and the seed only.
     """
     share = materials["paint_share"].values
     paints = np.flatnonzero(share > 0)
     edges = np.cumsum(share[paints]) / share[paints].sum()
-    chosen = np.minimum(np.searchsorted(edges, _hash_unit(keys, seed), side="right"), paints.size - 1)
-    return paints[chosen].astype(np.int16)
-
-
-def _hash_unit(keys: Int[Array, "key"], seed: int) -> Float[Array, "key"]:
-    """Uniform numbers in [0, 1) from integers: the finaliser of SplitMix64 (Steele et al. 2014)."""
+    # uniform numbers in [0, 1) from integers by the finaliser of SplitMix64 (Steele et al. 2014)
     start = (int(seed) * 0x9E3779B97F4A7C15) % 2**64
     with np.errstate(over="ignore"):
         z = (np.asarray(keys).astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
@@ -296,28 +248,17 @@ def _hash_unit(keys: Int[Array, "key"], seed: int) -> Float[Array, "key"]:
         z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         z = z ^ (z >> np.uint64(31))
-    return (z >> np.uint64(11)).astype(float) / 2.0**53
-
-
-def _checked(name: str, reflectance: Array, wavelength: Array) -> Array:
-    """The reflectance of a material, if it is one."""
-    wrong = np.flatnonzero(~((reflectance >= 0) & (reflectance <= 1)))
-    if wrong.size:
-        k = wrong[np.argmax(np.abs(reflectance[wrong] - 0.5))]
-        remedy = " (divide percent by 100)" if reflectance[k] > 1 else ""
-        raise ValueError(
-            f"`{name}` must have a reflectance within 0 to 1, got {reflectance[k]:.4g} at "
-            f"{wavelength[k]:.3g} µm{remedy}"
-        )
-    return reflectance
+    uniform = (z >> np.uint64(11)).astype(float) / 2.0**53
+    chosen = np.minimum(np.searchsorted(edges, uniform, side="right"), paints.size - 1)
+    return paints[chosen].astype(np.int16)
 
 
 def _transmittance(
-    name: str, design: MaterialDesign, reflectance: Array, beside: Path | None, wavelength: Array
+    name: str, design: MaterialDesign, reflectance: Array, folder: Path | None, wavelength: Array
 ) -> Array:
-    """What a thin sheet of it lets through; 0 for all that is no leaf."""
+    """Transmittance of a thin sheet of a material; 0 unless it is a leaf."""
     if design.transmittance_column is not None:
-        values = _from_file(str(design.file), design.transmittance_column, beside, wavelength)
+        values = _read_user_spectrum(str(design.file), design.transmittance_column, folder, wavelength)
     elif design.leaf_absorptance is not None and design.refractive_index is not None:
         values = leaf_transmittance(reflectance, design.leaf_absorptance, design.refractive_index)
     else:
@@ -333,78 +274,84 @@ def _transmittance(
 
 
 def _optical_constants(
-    design: MaterialDesign, folder: Traversable, beside: Path | None, wavelength: Array
+    design: MaterialDesign, folder: Path | None, wavelength: Array
 ) -> Float[Array, "2 wavelength"]:
     """Refractive and extinction index."""
     if design.refractive_index is not None:
         pair = design.refractive_index, design.extinction_index
         return np.repeat(np.array(pair)[:, None], wavelength.size, axis=1)
-    if design.optical_constants_file is not None:
-        name = design.optical_constants_file
-        both = np.stack([_from_file(name, column, beside, wavelength) for column in ("n", "k")])
-    else:
-        path = folder / f"{design.optical_constants}.csv"
-        if not (_is_plain(design.optical_constants) and path.is_file()):
-            raise ValueError(
-                f"`optical_constants` must be one of the packaged tables, got {design.optical_constants!r}"
-            )
-        name = path.name
-        both = np.stack(
-            [spectral.resample(wavelength, *_packaged(path, column), name) for column in ("n", "k")]
-        )
-    if both[0].min() <= 0 or both[1].min() < 0 or both.max() > _LARGEST_INDEX:
+    name = str(design.optical_constants_file or design.optical_constants)
+    both = np.stack(
+        [
+            _read_user_spectrum(name, column, folder, wavelength)
+            if design.optical_constants_file
+            else _read_packaged_spectrum(name, column, "optical_constants", wavelength)
+            for column in ("n", "k")
+        ]
+    )
+    if both[0].min() <= 0 or both[1].min() < 0 or both.max() > _MAX_INDEX:
         raise ValueError(
-            f"`{name}` must have n above 0 and k of at least 0, neither above {_LARGEST_INDEX:g}, got "
+            f"`{name}` must have n above 0 and k of at least 0, neither above {_MAX_INDEX:g}, got "
             f"{both.min():g} to {both.max():g}"
         )
     return both
 
 
-def _is_plain(name: str | None) -> bool:
-    """Whether a name is one of a packaged table: no way to another folder."""
-    return name is not None and name.isidentifier() and len(name) <= _LONGEST_NAME
+def _read_user_spectrum(name: str, column: str, folder: Path | None, wavelength: Array) -> Array:
+    place = folder or Path()
+    if not resolve_path(place / name).is_relative_to(resolve_path(place)) or not is_file(place / name):
+        raise ValueError(f"`{name}` must be a file in the materials file's folder or below, got none there")
+    return spectral.resample(wavelength, *read_spectrum(place / name, column), name)
 
 
-def _from_file(name: str, column: str, beside: Path | None, wavelength: Array) -> Array:
-    path = (beside or Path()) / name
-    if not resolve_path(path).is_relative_to(resolve_path(beside or Path())) or not is_file(path):
-        raise ValueError(f"`{name}` must be a file beside the materials file or below, got none there")
-    return spectral.resample(wavelength, *read_spectrum(path, column), name)
+def _read_packaged_spectrum(name: str, column: str, key: str, wavelength: Array) -> Array:
+    path = resources.files("glintrack") / "data" / "spectra" / f"{name}.csv"
+    if not (name.isidentifier() and len(name) <= 100 and path.is_file()):  # no path to another folder
+        raise ValueError(f"`{key}` must be one of the packaged spectra, got {name!r}")
+    return spectral.resample(wavelength, *_read_packaged(path, column), name)
 
 
-def _base(
-    design: MaterialDesign, folder: Traversable, beside: Path | None, wavelength: Float[Array, "wavelength"]
-) -> Array:
+def _base(name: str, design: MaterialDesign, folder: Path | None, wavelength: Array) -> Array:
+    """Reflectance of a base; it must reflect more light than it polarizes."""
     if design.constant is not None:
-        return np.full(wavelength.size, design.constant)
-    if design.file is not None:
-        return _from_file(design.file, design.column, beside, wavelength)
-    parts = design.mix or {str(design.spectrum): 1.0}
-    total = np.zeros(wavelength.size)
-    for name, weight in parts.items():
-        if not (_is_plain(name) and (folder / f"{name}.csv").is_file()):
-            raise ValueError(f"`spectrum` must be one of the packaged spectra, got {name!r}")
-        table_um, values = _packaged(folder / f"{name}.csv", design.column)
-        total += weight * spectral.resample(wavelength, table_um, values, name)
-    return total
+        base = np.full(wavelength.size, design.constant)
+    elif design.file is not None:
+        base = _read_user_spectrum(design.file, design.column, folder, wavelength)
+    else:
+        base = np.zeros(wavelength.size)
+        for part, weight in (design.mix or {str(design.spectrum): 1.0}).items():
+            base += weight * _read_packaged_spectrum(part, design.column, "spectrum", wavelength)
+    wrong = np.flatnonzero(~((base >= 0) & (base <= 1)))
+    if wrong.size:
+        k = wrong[np.argmax(np.abs(base[wrong] - 0.5))]
+        remedy = " (divide percent by 100)" if base[k] > 1 else ""
+        raise ValueError(
+            f"`{name}` must have a reflectance within 0 to 1, got {base[k]:.4g} at "
+            f"{wavelength[k]:.3g} µm{remedy}"
+        )
+    darkest = float(base.min())
+    highest = MAX_POLARIZED_SHARE * darkest / MAX_POLARIZED_REFLECTANCE
+    if design.polarized_base > highest:
+        raise ValueError(
+            f"`{name}.polarized_base` must be at most {highest:.3g} for a base that reflects {darkest:.3g} "
+            f"where it is darkest, got {design.polarized_base:g}"
+        )
+    return base
 
 
 def _srgb(wavelength: Float[Array, "wavelength"], reflectance: Float[Array, "wavelength"]) -> Array:
     """Display colour of a reflectance under an equal-energy light, IEC 61966-2-1 primaries and gamma."""
     matching = spectral.cie_xyz(wavelength)
     xyz = matching @ reflectance / matching[1].sum()
-    # equal-energy white is brought to (1, 1, 1): the eye adapts to its light
-    linear = np.clip(
-        (SRGB_FROM_XYZ @ xyz) / (SRGB_FROM_XYZ @ (matching.sum(axis=1) / matching[1].sum())), 0, 1
-    )
-    return encode_srgb(linear)
+    white = SRGB_FROM_XYZ @ (matching.sum(axis=1) / matching[1].sum())  # the eye adapts to its light
+    return encode_srgb(np.clip((SRGB_FROM_XYZ @ xyz) / white, 0, 1))
 
 
 _CONE_RAD = math.radians(40)  # light meets the first layer within this cone (PROSPECT-5)
 _NODES = 64  # of the average over directions
 _HALVINGS = 40  # to 1e-12 of the range
 _CUTS, _PARTS = 7, 64  # of the range of layers, to as much
-_MOST_LAYERS = 30.0
+_MAX_LAYERS = 30.0
 
 
 def leaf_transmittance(
@@ -415,17 +362,17 @@ def leaf_transmittance(
     Parameters
     ----------
     reflectance
-        Of the leaf, 0 to 1. [1]
+        Reflectance of the leaf, 0 to 1. [1]
     absorptance
-        What it absorbs at its reflectance's maximum, in the near infrared: about 0.05 for a single leaf. This
-        fixes the number of layers. [1]
+        Absorptance at the maximum of the reflectance, in the near infrared: about 0.05 for a single leaf. It
+        determines the number of layers. [1]
     refractive_index
-        Of the leaf's wax and cell walls, over 1. [1]
+        Refractive index of the leaf's wax and cell walls, over 1. [1]
 
     Raises
     ------
     ValueError
-        If reflectance and absorptance leave nothing to be let through.
+        If reflectance and absorptance leave no light to transmit.
     """
     highest = float(np.max(reflectance))
     if not 0 < absorptance < 1 - highest:
@@ -433,7 +380,7 @@ def leaf_transmittance(
             f"`leaf_absorptance` must lie above 0 and leave light to pass: below {1 - highest:.3g}, "
             f"got {absorptance:g}"
         )
-    low, high = 1.0, _MOST_LAYERS
+    low, high = 1.0, _MAX_LAYERS
     for _ in range(_CUTS):  # more layers reflect more, so that more must be absorbed
         layers = np.linspace(low, high, _PARTS + 1)
         through = _inverse(np.full(_PARTS - 1, highest), layers[1:-1], refractive_index)
@@ -452,9 +399,9 @@ def plate_stack(
     inner
         Transmittance of one plate's inside, 0 to 1. [1]
     layers
-        How many plates, at least 1, whole or not. [1]
+        Number of plates, at least 1, not necessarily an integer. [1]
     refractive_index
-        Of the plates, over 1. [1]
+        Refractive index of the plates, over 1. [1]
     """
     first, inside = _entering(refractive_index, _CONE_RAD), _entering(refractive_index, math.pi / 2)
     inner = np.clip(np.asarray(inner, float), 1e-9, 1 - 1e-9)  # the ends are limits of the formulae
@@ -471,7 +418,7 @@ def plate_stack(
 
 
 def _plate(inner: Array, entering: float, inside: float, n: float) -> tuple[Array, Array]:
-    """Reflectance and transmittance of one plate; what enters leaves it diffuse."""
+    """Reflectance and transmittance of one plate, which diffuses the light."""
     back = n**2 - inside  # n² times the reflectance from within
     between = n**4 - (inner * back) ** 2
     transmitted = entering * inside * inner * n**2 / between
@@ -490,7 +437,7 @@ def _entering(n: float, cone_rad: float) -> float:
 
 
 def _inverse(reflectance: Array, layers: ArrayLike, n: float) -> Array:
-    """Transmittance of a stack that reflects so much; 0 where even a black inside reflects more."""
+    """Transmittance of a stack of a reflectance; 0 where even a black inside reflects more."""
     low, high = np.zeros(reflectance.shape), np.ones(reflectance.shape)
     for _ in range(_HALVINGS):
         inner = 0.5 * (low + high)

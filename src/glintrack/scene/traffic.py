@@ -7,33 +7,26 @@ junctions. A recording is a network and its traffic in one NetCDF file: the embe
 SUMO runs.
 """
 
-import io
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import h5netcdf
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack.core import schema
 from glintrack.core.arrays import Array
 from glintrack.core.schema import MOVING_SPEED_M_S
-from glintrack.io.atomic import write_bytes
+from glintrack.io.netcdf import write_dataset
 from glintrack.scene.objects.surfaces import LANE_KINDS, Lane, RoadNetwork
-from glintrack.scene.vehicles import MODELS
+from glintrack.scene.vehicles import VEHICLE_CLASSES, load_vehicles
 
 _SMOOTHING_S = 0.3
 _VELOCITY_SPAN_S = 0.2
-_JAM_SHARE, _JAM_VEHICLES, _JAM_LOOKS = (
-    0.2,
-    20,
-    5,
-)  # in the packaged cities 0.30 and more move, in Berlin 0.16
+_JAM_SHARE, _JAM_VEHICLES, _JAM_SAMPLES = 0.2, 20, 5  # in the packaged cities 0.30 move, in Berlin 0.16
 
 
 @dataclass(frozen=True)
@@ -49,7 +42,7 @@ class Traffic:
     first, count
         Sample of the clock at which each vehicle appears, and for how many it stays.
     model
-        Index of each vehicle into `vehicles.MODELS`.
+        Index of each vehicle into `VEHICLE_CLASSES`.
     bumper_east, bumper_north
         Front-bumper centre of every sample of every vehicle, ENU. [m]
     angle
@@ -78,8 +71,15 @@ class Traffic:
                 )
         if self.count.size and (self.count.min() < 1 or (self.first + self.count).max() > self.steps):
             raise ValueError(f"`count` must keep every vehicle within {self.steps} steps, got one beyond")
-        if self.model.size and not 0 <= self.model.min() <= self.model.max() < len(MODELS):
-            raise ValueError(f"`model` must index the {len(MODELS)} vehicle models, got {self.model.max()}")
+        if self.model.size and not 0 <= self.model.min() <= self.model.max() < len(VEHICLE_CLASSES):
+            raise ValueError(
+                f"`model` must index the {len(VEHICLE_CLASSES)} vehicle models, got {self.model.max()}"
+            )
+
+    def shift(self, east_m: float, north_m: float) -> "Traffic":
+        """Move the origin by adding a vector to all coordinates. [m]"""
+        east, north = self.bumper_east + east_m, self.bumper_north + north_m
+        return replace(self, bumper_east=east, bumper_north=north)
 
     @property
     def duration_s(self) -> float:
@@ -89,7 +89,7 @@ class Traffic:
     @cached_property
     def dimensions(self) -> Float[Array, "vehicle 3"]:
         """Length, width and height of each vehicle. [m]"""
-        table = np.array([[d.length_m, d.width_m, d.height_m] for d in MODELS.values()])
+        table = np.array([[d.length_m, d.width_m, d.height_m] for d in load_vehicles().values()])
         return table[self.model]
 
     @cached_property
@@ -97,14 +97,21 @@ class Traffic:
         """Centre east, north [m], unwrapped heading [rad], east and north speed [m s⁻¹] of every sample."""
         states = np.empty((self.angle.size, 5))
         offsets = np.concatenate([[0], np.cumsum(self.count)])
+        reach = max(round(_VELOCITY_SPAN_S / self.step_s), 1)
         for k, length_m in enumerate(self.dimensions[:, 0]):
-            span = slice(offsets[k], offsets[k + 1])
+            span, n = slice(offsets[k], offsets[k + 1]), self.count[k]
+            heading = _smooth(np.unwrap(self.angle[span]), self.step_s)
+            forward = np.stack([np.sin(heading), np.cos(heading)], axis=1)
             bumper = np.stack([self.bumper_east[span], self.bumper_north[span]], axis=1)
-            states[span] = _vehicle_states(bumper, self.angle[span], float(length_m), self.step_s)
+            centre = bumper - 0.5 * float(length_m) * forward
+            low, high = np.maximum(np.arange(n) - reach, 0), np.minimum(np.arange(n) + reach, n - 1)
+            span_s = np.maximum(high - low, 1)[:, None] * self.step_s
+            velocity = (centre[high] - centre[low]) / span_s
+            states[span] = np.concatenate([centre, heading[:, None], velocity], axis=1)
         return states
 
     def at(self, time_s: float) -> tuple[Int[Array, "present"], Float[Array, "present 5"]]:
-        """Who is there at a time, and how: linear between samples.
+        """Interpolate the vehicles that are present at a time linearly between samples.
 
         Parameters
         ----------
@@ -119,7 +126,7 @@ class Traffic:
         Raises
         ------
         ValueError
-            Outside the recording.
+            If the time is outside the recording.
         """
         position = time_s / self.step_s
         if not -1e-6 <= position <= self.steps - 1 + 1e-6:  # a millionth of a step: rounding of the clock
@@ -139,102 +146,25 @@ class Traffic:
         return ids, now
 
 
-def bumper_to_centre(
-    bumper: Float[Array, "n 2"], heading_rad: Float[Array, "n"], length_m: float
-) -> Float[Array, "n 2"]:
-    """Centre of a vehicle from its front-bumper centre and heading clockwise from north. [m]."""
-    forward = np.stack([np.sin(heading_rad), np.cos(heading_rad)], axis=1)
-    return bumper - 0.5 * length_m * forward
-
-
 def warn_of_jam(traffic: Traffic, extent_m: tuple[float, float, float, float]) -> None:
-    """Tell where less than a fifth of twenty and more vehicles in a window move: scores would be of few.
-
-    Parameters
-    ----------
-    traffic
-        Looked at evenly from its begin to its end.
-    extent_m
-        West, south, east, north of the window. [m]
-    """
+    """Warn if fewer than a fifth of at least 20 vehicles in a window (west, south, east, north [m]) move."""
     west, south, east, north = extent_m
     inside = moving = 0.0
-    for time_s in np.linspace(0.0, traffic.duration_s, _JAM_LOOKS):
+    for time_s in np.linspace(0.0, traffic.duration_s, _JAM_SAMPLES):
         x, y, _, *speed = traffic.at(float(time_s))[1].T
         here = (x >= west) & (x <= east) & (y >= south) & (y <= north)
-        inside += here.sum() / _JAM_LOOKS
-        moving += (here & (np.hypot(*speed) >= MOVING_SPEED_M_S)).sum() / _JAM_LOOKS
+        inside += here.sum() / _JAM_SAMPLES
+        moving += (here & (np.hypot(*speed) >= MOVING_SPEED_M_S)).sum() / _JAM_SAMPLES
     if inside >= _JAM_VEHICLES and moving < _JAM_SHARE * inside:
         warnings.warn(
-            f"of {inside:.0f} vehicles in the window {moving:.0f} move in the mean: the traffic jams, and "
-            "scores are of those few (raise `scene.traffic_insertion_period_s`, or move `scene.centre_m`)",
+            f"of {inside:.0f} vehicles in the window {moving:.0f} move on average: the traffic jams, and "
+            "scores count only those (raise `scene.traffic_insertion_period_s`, or move `scene.centre_m`)",
             stacklevel=3,
         )
 
 
-def truth_dataset(
-    ids: Int[Array, "vehicle"],
-    states: Float[Array, "vehicle 5"],
-    dimensions: Float[Array, "vehicle 3"],
-    up_m: Float[Array, "vehicle"] | float = 0.0,
-    pitch_rad: Float[Array, "vehicle"] | float = 0.0,
-    extent_m: tuple[float, float, float, float] = (-np.inf, -np.inf, np.inf, np.inf),
-) -> xr.Dataset:
-    """Dataset of schema ``truth`` from what `Traffic.at` gives.
-
-    Parameters
-    ----------
-    ids, states, dimensions
-        Of each vehicle.
-    up_m, pitch_rad
-        Height of the ground under the centre, and its slope along the heading, nose up positive. [m, rad]
-    extent_m
-        West, south, east, north of the window. [m]
-
-    Returns
-    -------
-    Beside the schema's: ``pitch``, ``inside`` (1 within the window) and ``moving`` (1 from 1 m s⁻¹).
-    """
-    west, south, east, north = extent_m
-    inside = (states[:, 0] >= west) & (states[:, 0] <= east)
-    inside &= (states[:, 1] >= south) & (states[:, 1] <= north)
-
-    def column(values: Array, units: str) -> tuple:
-        return "vehicle", np.asarray(values, dtype=float), {"units": units}
-
-    dataset = xr.Dataset(
-        {
-            "east": column(states[:, 0], "m"),
-            "north": column(states[:, 1], "m"),
-            "up": column(np.broadcast_to(up_m, len(ids)), "m"),
-            "east_speed": column(states[:, 3], "m s-1"),
-            "north_speed": column(states[:, 4], "m s-1"),
-            "heading": column(states[:, 2], "rad"),
-            "pitch": column(np.broadcast_to(pitch_rad, len(ids)), "rad"),
-            "length": column(dimensions[:, 0], "m"),
-            "width": column(dimensions[:, 1], "m"),
-            "height": column(dimensions[:, 2], "m"),
-            "inside": column(inside, "1"),
-            "moving": column(np.hypot(states[:, 3], states[:, 4]) >= MOVING_SPEED_M_S, "1"),
-        },
-        coords={"vehicle": np.asarray(ids, dtype=np.int64)},
-    )
-    return schema.check(dataset, "truth")
-
-
-def _vehicle_states(bumper: Array, angle: Array, length_m: float, step_s: float) -> Float[Array, "n 5"]:
-    heading = _smooth(np.unwrap(angle), step_s)
-    centre = bumper_to_centre(bumper, heading, length_m)
-    reach = max(round(_VELOCITY_SPAN_S / step_s), 1)
-    n = len(centre)
-    low, high = np.maximum(np.arange(n) - reach, 0), np.minimum(np.arange(n) + reach, n - 1)
-    span_s = np.maximum(high - low, 1)[:, None] * step_s
-    velocity = (centre[high] - centre[low]) / span_s
-    return np.concatenate([centre, heading[:, None], velocity], axis=1)
-
-
 def _smooth(values: Float[Array, "n"], step_s: float) -> Float[Array, "n"]:
-    """Hann-weighted running mean; the ends are held, not padded with zeros."""
+    """Hann-weighted running mean; the end values are repeated, not padded with zeros."""
     reach = round(_SMOOTHING_S / step_s)
     if reach < 1 or values.size < 2:
         return values
@@ -245,6 +175,7 @@ def _smooth(values: Float[Array, "n"], step_s: float) -> Float[Array, "n"]:
 FORMAT = 1
 _LENGTH_UNIT_M = 0.001  # coordinates are stored in whole millimetres
 _ANGLE_UNIT_RAD = 1e-4
+_CODING = "first sample of each vehicle, then differences from sample to sample"
 
 
 @dataclass(frozen=True)
@@ -254,6 +185,10 @@ class Recording:
     network: RoadNetwork
     traffic: Traffic
 
+    def shift(self, east_m: float, north_m: float) -> "Recording":
+        """Move the origin by adding a vector to all coordinates. [m]"""
+        return Recording(self.network.shift(east_m, north_m), self.traffic.shift(east_m, north_m))
+
 
 def write_recording(path: Path, recording: Recording, attributes: Mapping[str, Any]) -> None:
     """Write a recording as compressed NetCDF-4.
@@ -261,63 +196,56 @@ def write_recording(path: Path, recording: Recording, attributes: Mapping[str, A
     Parameters
     ----------
     path
-        File to make.
+        File to write.
     recording
-        What to write; coordinates are rounded to 1 mm, headings to 0.1 mrad.
+        Coordinates are rounded to 1 mm, headings to 0.1 mrad.
     attributes
         Global attributes: at least ``title``, ``source`` and ``licence``.
     """
-    network, traffic = recording.network, recording.traffic
-    lane_points = np.concatenate([np.zeros((0, 2)), *(lane.points for lane in network.lanes)])
-    junction_points = np.concatenate([np.zeros((0, 2)), *network.junctions])
-    types = sorted({lane.street_type for lane in network.lanes})
-    edges = sorted({lane.edge_id for lane in network.lanes})
-    lanes = network.lanes
+    traffic, lanes, junctions = recording.traffic, recording.network.lanes, recording.network.junctions
+    lane_points, corners = (
+        np.concatenate([np.zeros((0, 2)), *rings]) for rings in ([lane.points for lane in lanes], junctions)
+    )
+    types, edges = (sorted({getattr(lane, key) for lane in lanes}) for key in ("street_type", "edge_id"))
+    headings = np.round(np.unwrap(traffic.angle) / _ANGLE_UNIT_RAD).astype(int)
+
+    def column(dim: str, values: Any, **attributes: str) -> tuple:
+        whole = np.asarray(values, dtype=np.int32)
+        small = whole.size and np.abs(whole).max() < 2**15
+        return dim, whole.astype(np.int16) if small else whole, attributes
+
+    def lengths(dim: str, values: Any) -> tuple:
+        return column(dim, _to_millimetres(values), units=f"{_LENGTH_UNIT_M} m")
+
+    def samples(values: Array, units: str) -> tuple:
+        return column("sample", _differences(values, traffic.count), units=units, coding=_CODING)
+
     tables = {
-        "lane_point_count": ("lane", [len(lane.points) for lane in lanes], {}),
-        "lane_kind": (
-            "lane",
-            [LANE_KINDS.index(lane.kind) for lane in lanes],
-            {"names": " ".join(LANE_KINDS)},
+        "lane_point_count": column("lane", [len(lane.points) for lane in lanes]),
+        "lane_kind": column(
+            "lane", [LANE_KINDS.index(lane.kind) for lane in lanes], names=" ".join(LANE_KINDS)
         ),
-        "lane_edge": ("lane", [edges.index(lane.edge_id) for lane in lanes], {"names": " ".join(edges)}),
-        "lane_index": ("lane", [lane.index for lane in lanes], {}),
-        "lane_width": ("lane", _packed([lane.width_m for lane in lanes]), _LENGTH),
-        "lane_signalled": ("lane", [int(lane.signalled) for lane in lanes], {}),
-        "lane_type": ("lane", [types.index(lane.street_type) for lane in lanes], {"names": ";".join(types)}),
-        "lane_east": ("lane_point", _packed(lane_points[:, 0]), _LENGTH),
-        "lane_north": ("lane_point", _packed(lane_points[:, 1]), _LENGTH),
-        "junction_point_count": ("junction", [len(c) for c in network.junctions], {}),
-        "junction_east": ("junction_point", _packed(junction_points[:, 0]), _LENGTH),
-        "junction_north": ("junction_point", _packed(junction_points[:, 1]), _LENGTH),
-        "vehicle_first": ("vehicle", traffic.first, {}),
-        "vehicle_count": ("vehicle", traffic.count, {}),
-        "vehicle_model": ("vehicle", traffic.model, {}),
-        "bumper_east": ("sample", _steps(_packed(traffic.bumper_east), traffic.count), _STEPPED),
-        "bumper_north": ("sample", _steps(_packed(traffic.bumper_north), traffic.count), _STEPPED),
-        "angle": (
-            "sample",
-            _steps(np.round(np.unwrap(traffic.angle) / _ANGLE_UNIT_RAD).astype(int), traffic.count),
-            {"units": f"{_ANGLE_UNIT_RAD} rad", "coding": _STEPPED["coding"]},
-        ),
+        "lane_edge": column("lane", [edges.index(lane.edge_id) for lane in lanes], names=" ".join(edges)),
+        "lane_index": column("lane", [lane.index for lane in lanes]),
+        "lane_width": lengths("lane", [lane.width_m for lane in lanes]),
+        "lane_signalled": column("lane", [lane.signalled for lane in lanes]),
+        "lane_type": column("lane", [types.index(lane.street_type) for lane in lanes], names=";".join(types)),
+        "lane_east": lengths("lane_point", lane_points[:, 0]),
+        "lane_north": lengths("lane_point", lane_points[:, 1]),
+        "junction_point_count": column("junction", [len(ring) for ring in junctions]),
+        "junction_east": lengths("junction_point", corners[:, 0]),
+        "junction_north": lengths("junction_point", corners[:, 1]),
+        **{f"vehicle_{key}": column("vehicle", getattr(traffic, key)) for key in ("first", "count", "model")},
+        "bumper_east": samples(_to_millimetres(traffic.bumper_east), f"{_LENGTH_UNIT_M} m"),
+        "bumper_north": samples(_to_millimetres(traffic.bumper_north), f"{_LENGTH_UNIT_M} m"),
+        "angle": samples(headings, f"{_ANGLE_UNIT_RAD} rad"),
     }
-    made = io.BytesIO()  # HDF5 crashes where it cannot write, on a full disk
-    with h5netcdf.File(made, "w") as file:
-        file.attrs.update({**attributes, "format": FORMAT, "step_s": traffic.step_s, "steps": traffic.steps})
-        for name, (dim, values, attrs) in tables.items():
-            values = np.asarray(values, dtype=np.int32)
-            if dim not in file.dimensions:
-                file.dimensions[dim] = len(values)
-            if values.size and np.abs(values).max() < 2**15:
-                values = values.astype(np.int16)
-            options = {"compression": "gzip", "compression_opts": 9, "shuffle": True} if values.size else {}
-            variable = file.create_variable(name, (dim,), values.dtype, data=values, **options)
-            variable.attrs.update(attrs)
-    write_bytes(path, made.getvalue())
+    about = {**attributes, "format": FORMAT, "step_s": traffic.step_s, "steps": traffic.steps}
+    write_dataset(path, xr.Dataset(tables, attrs=about))
 
 
 def read_recording(path: Path) -> Recording:
-    """Read what `write_recording` wrote.
+    """Read a recording that `write_recording` wrote.
 
     Raises
     ------
@@ -325,52 +253,38 @@ def read_recording(path: Path) -> Recording:
         If the file is not such a recording or is damaged.
     """
     try:
-        with h5netcdf.File(path, "r") as file:
-            if file.attrs.get("format") != FORMAT:
-                came = file.attrs.get("format")
-                raise ValueError(f"`{path.name}` must be a recording of format {FORMAT}, got {came}")
-            tables = {name: np.asarray(variable[...]) for name, variable in file.variables.items()}
-            names = {name: str(v.attrs["names"]) for name, v in file.variables.items() if "names" in v.attrs}
-            step_s, steps = (float(np.asarray(file.attrs[name])) for name in ("step_s", "steps"))
-    except (OSError, KeyError, TypeError, AttributeError, RuntimeError) as error:
-        raise ValueError(f"`{path.name}` must be a whole recording, got {error}") from error
-    try:
-        return _recording(tables, names, step_s, steps)
-    except (KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
+        file = xr.load_dataset(path, engine="h5netcdf", decode_cf=False)
+        if file.attrs.get("format") != FORMAT:
+            came = file.attrs.get("format")
+            raise ValueError(f"`{path.name}` must be a recording of format {FORMAT}, got {came}")
+        step_s, steps = (float(np.asarray(file.attrs[name])) for name in ("step_s", "steps"))
+        if not (step_s > 0 and 1 <= steps < 1e9):
+            raise ValueError(f"`step_s` and `steps` must be greater than 0, got {step_s:g} and {steps:g}")
+        tables = {str(name): variable.values for name, variable in file.variables.items()}
+        edges, types = (str(file[key].attrs["names"]) for key in ("lane_edge", "lane_type"))
+        network = _network(tables, edges.split(" "), types.split(";"))
+        count = tables["vehicle_count"].astype(np.int64)
+        traffic = Traffic(
+            step_s=step_s,
+            steps=int(steps),
+            first=tables["vehicle_first"].astype(np.int64),
+            count=count,
+            model=tables["vehicle_model"].astype(np.int64),
+            bumper_east=_sums(tables["bumper_east"], count) * _LENGTH_UNIT_M,
+            bumper_north=_sums(tables["bumper_north"], count) * _LENGTH_UNIT_M,
+            angle=_sums(tables["angle"], count) * _ANGLE_UNIT_RAD,
+        )
+    except (OSError, LookupError, TypeError, AttributeError, RuntimeError, OverflowError) as error:
         raise ValueError(f"`{path.name}` must be a whole recording, got {error!r}") from error
+    return Recording(network, traffic)
 
 
-def _recording(
-    tables: Mapping[str, Array], names: Mapping[str, str], step_s: float, steps: float
-) -> Recording:
-    if not (step_s > 0 and 1 <= steps < 1e9):
-        raise ValueError(f"`step_s` and `steps` must be greater than 0, got {step_s:g} and {steps:g}")
-    count = tables["vehicle_count"].astype(np.int64)
-    traffic = Traffic(
-        step_s=step_s,
-        steps=int(steps),
-        first=tables["vehicle_first"].astype(np.int64),
-        count=count,
-        model=tables["vehicle_model"].astype(np.int64),
-        bumper_east=_unsteps(tables["bumper_east"], count) * _LENGTH_UNIT_M,
-        bumper_north=_unsteps(tables["bumper_north"], count) * _LENGTH_UNIT_M,
-        angle=_unsteps(tables["angle"], count) * _ANGLE_UNIT_RAD,
-    )
-    return Recording(_network(tables, names), traffic)
-
-
-_LENGTH = {"units": f"{_LENGTH_UNIT_M} m"}
-_STEPPED = {**_LENGTH, "coding": "first sample of each vehicle, then differences from sample to sample"}
-
-
-def _network(tables: Mapping[str, Array], names: Mapping[str, str]) -> RoadNetwork:
+def _network(tables: Mapping[str, Array], edges: list[str], types: list[str]) -> RoadNetwork:
     def rings(kind: str) -> list[Array]:
         points = np.stack([tables[f"{kind}_east"], tables[f"{kind}_north"]], axis=1) * _LENGTH_UNIT_M
-        return (
-            np.split(points, np.cumsum(tables[f"{kind}_point_count"].astype(int))[:-1]) if len(points) else []
-        )
+        ends = np.cumsum(tables[f"{kind}_point_count"].astype(int))
+        return np.split(points, ends[:-1]) if len(points) else []
 
-    edges, types = names["lane_edge"].split(" "), names["lane_type"].split(";")
     lanes = tuple(
         Lane(
             edge_id=edges[tables["lane_edge"][i]],
@@ -386,19 +300,20 @@ def _network(tables: Mapping[str, Array], names: Mapping[str, str]) -> RoadNetwo
     return RoadNetwork(lanes, tuple(rings("junction")))
 
 
-def _packed(values) -> Array:
+def _to_millimetres(values: Any) -> Array:
     return np.round(np.asarray(values, dtype=float) / _LENGTH_UNIT_M).astype(int)
 
 
-def _steps(values: Array, count: Array) -> Array:
-    """First value of each vehicle, then differences: neighbours differ little, so that this packs well."""
+def _differences(values: Array, count: Array) -> Array:
+    """First value of each vehicle, then differences between samples, which compress well."""
     starts = np.cumsum(count) - count
     steps = np.diff(values, prepend=0)
     steps[starts] = values[starts]
     return steps
 
 
-def _unsteps(steps: Array, count: Array) -> Array:
+def _sums(steps: Array, count: Array) -> Array:
+    """Invert `_differences`."""
     starts = np.cumsum(count) - count
     total = np.cumsum(steps.astype(np.int64))
     before = np.where(starts > 0, total[np.maximum(starts - 1, 0)], 0)

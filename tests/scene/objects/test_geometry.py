@@ -11,12 +11,12 @@ from glintrack.scene.objects.geometry import (
     Mesh,
     MeshBuilder,
     box_patch,
+    cut_into_tiles,
     extrude,
     flat,
+    gable_or_hip_roof,
     mansard_roof,
     parapet_roof,
-    pitched_roof,
-    tiled,
     walls,
 )
 
@@ -63,7 +63,7 @@ def test_walls_face_away_from_the_shape_and_inward_ones_into_it():
 
 def test_tiling_keeps_the_area():
     shape = box(-100, -70, 130, 20).difference(box(-10, -10, 15, 10))
-    assert sum(p.area for p in tiled(shape)) == pytest.approx(shape.area, rel=ROUNDING)
+    assert sum(p.area for p in cut_into_tiles(shape)) == pytest.approx(shape.area, rel=ROUNDING)
 
 
 def test_box_patch_is_closed_and_turned_counter_clockwise():
@@ -75,7 +75,7 @@ def test_box_patch_is_closed_and_turned_counter_clockwise():
 @pytest.mark.parametrize("hip", [False, True])
 def test_pitched_roof_is_closed_with_the_slope_asked_for(hip):
     slope = math.radians(35)
-    planes, rest = pitched_roof(box(0, 0, 12, 8), 3.0, slope, hip, overhang_m=0.0)
+    planes, rest = gable_or_hip_roof(box(0, 0, 12, 8), 3.0, slope, hip, overhang_m=0.0)
     joined = np.vstack([normals(planes), normals(rest)])
     assert np.abs(joined.sum(axis=0)).max() < ROUNDING
     n = normals(planes)

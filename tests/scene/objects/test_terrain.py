@@ -12,9 +12,9 @@ from glintrack.core.interpolation import height_at
 from glintrack.scene import SceneDesign, build_scene
 from glintrack.scene.objects.layout import body_to_enu
 from glintrack.scene.objects.terrain import (
+    flat_terrain,
     ground_surface,
     is_level,
-    level_terrain,
     read_dem,
     rolling_terrain,
     slope_at,
@@ -100,7 +100,7 @@ def test_rolling_ground_has_its_relief_and_its_seed():
     assert np.ptp(height) == pytest.approx(9.0) and not is_level(one)
     assert height.tobytes() == again["height"].values.tobytes() != other["height"].values.tobytes()
     assert height_at(one, np.zeros(1), np.zeros(1))[0] == pytest.approx(0)
-    assert is_level(level_terrain(BOUNDS))
+    assert is_level(flat_terrain(BOUNDS))
 
 
 def test_the_surface_below_faces_up_and_reaches_far():

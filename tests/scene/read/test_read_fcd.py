@@ -9,9 +9,9 @@ import pytest
 from glintrack.scene.objects.surfaces import RoadNetwork
 from glintrack.scene.read.fcd import fcd_table, model_of, read_fcd
 from glintrack.scene.traffic import Recording, write_recording
-from glintrack.scene.vehicles import MODELS
+from glintrack.scene.vehicles import VEHICLE_CLASSES
 
-CAR, HATCH = list(MODELS).index("car"), list(MODELS).index("hatch")
+CAR, HATCH = list(VEHICLE_CLASSES).index("car"), list(VEHICLE_CLASSES).index("hatch")
 HEAD = "timestep_time;vehicle_angle;vehicle_id;vehicle_type;vehicle_x;vehicle_y\n"
 WINDOW = (-50, -50, 50, 50)
 
@@ -103,7 +103,7 @@ def test_every_format_gives_the_same_traffic_and_what_was_written(tmp_path):
         traffic, odd = read_fcd(tmp_path / name, WINDOW)
         assert (traffic.step_s, traffic.steps) == (0.5, 12)
         assert traffic.first.tolist() == [0, 0, 3] and traffic.count.tolist() == [12, 8, 9]
-        assert [list(MODELS)[m] for m in traffic.model] == ["car", "car", "van"]
+        assert [list(VEHICLE_CLASSES)[m] for m in traffic.model] == ["car", "car", "van"]
         assert odd.guessed == {"": 1, "passenger/delivery_van": 1} and not odd.left_out
         np.testing.assert_allclose(traffic.bumper_east, [row[3] for row in written])
         np.testing.assert_allclose(traffic.bumper_north, [row[4] for row in written])

@@ -10,7 +10,7 @@ import pytest
 from glintrack.core.installation import MissingExtraError
 from glintrack.scene.objects.surfaces import Lane, RoadNetwork
 from glintrack.scene.read import sumo
-from glintrack.scene.read.sumo import SumoRun, recorded, vehicle_types_xml
+from glintrack.scene.read.sumo import SumoRun, load_or_simulate, vehicle_types_xml
 from glintrack.scene.traffic import Recording, Traffic
 
 
@@ -43,33 +43,33 @@ def cached_files(tmp_path):
 
 
 def test_second_call_comes_from_the_cache(run, simulated, tmp_path):
-    first, second = recorded(run), recorded(run)
+    first, second = load_or_simulate(run), load_or_simulate(run)
     assert len(simulated) == 1 and len(cached_files(tmp_path)) == 1
     assert first.network.lanes[0].points.tobytes() == second.network.lanes[0].points.tobytes()
     assert first.traffic.bumper_east.tobytes() == second.traffic.bumper_east.tobytes()
 
 
 def test_other_settings_or_inputs_are_another_run(run, simulated):
-    recorded(run)
-    recorded(SumoRun(**{**vars(run), "duration_s": 6}))
+    load_or_simulate(run)
+    load_or_simulate(SumoRun(**{**vars(run), "duration_s": 6}))
     run.inputs[0].write_text("<nodes></nodes>")
-    recorded(run)
+    load_or_simulate(run)
     assert len(simulated) == 3
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b[:-1] + b"x"])
 def test_damaged_cache_is_rebuilt(run, simulated, tmp_path, damage):
-    recorded(run)
+    load_or_simulate(run)
     (path,) = cached_files(tmp_path)
     path.write_bytes(damage(path.read_bytes()))
-    assert recorded(run).traffic.steps == 2
+    assert load_or_simulate(run).traffic.steps == 2
     assert len(simulated) == 2 and len(cached_files(tmp_path)) == 1
 
 
 def test_unwritable_cache_costs_only_the_cache(run, simulated, tmp_path):
     (tmp_path / "cache").write_text("a file where the folder should be")
     with pytest.warns(UserWarning, match="could not be cached"):
-        assert recorded(run).traffic.steps == 2
+        assert load_or_simulate(run).traffic.steps == 2
 
 
 def test_missing_extra_is_named(monkeypatch):

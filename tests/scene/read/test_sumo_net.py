@@ -5,7 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
-from glintrack.scene.read.sumo import read_sumo_net, standing_signals
+from glintrack.scene.read.sumo import count_standing_signals, read_sumo_net
 
 NET = """<?xml version="1.0"?>
 <net version="1.20">
@@ -56,7 +56,7 @@ def test_tiny_network(tmp_path):
     assert car.width_m == 3.2 and car.signalled and car.street_type == "highway.residential"
     np.testing.assert_array_equal(car.points, [[0, -1.6], [100, -1.6]])
     assert len(network.junctions) == 1  # the other is entered by pedestrians only
-    moved = network.shifted(10, 1)
+    moved = network.shift(10, 1)
     np.testing.assert_allclose(moved.of_kind("car")[0].points, [[10, -0.6], [110, -0.6]])
 
 
@@ -100,4 +100,4 @@ def test_signals_that_wait_for_a_hand_are_counted(tmp_path):
     path = tmp_path / "n.net.xml"
     program = '<tlLogic id="{}"><phase duration="{}" state="Gr"/><phase duration="4" state="yr"/></tlLogic>'
     path.write_text(NET.replace("</net>", program.format("a", 42) + program.format("b", 10000) + "</net>"))
-    assert standing_signals(path) == 1
+    assert count_standing_signals(path) == 1

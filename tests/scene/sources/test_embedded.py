@@ -11,18 +11,18 @@ from glintrack.scene.objects.layout import body_to_enu
 from glintrack.scene.sources.embedded import (
     NETWORK_MARGIN_M,
     draw_plan,
-    embedded_layout,
-    embedded_recording,
+    fill_streets,
+    load_shipped_recording,
     plan_xml,
 )
-from glintrack.scene.vehicles import MODELS
+from glintrack.scene.vehicles import load_vehicles
 
 EXTENT_M = SceneDesign().extent_m
 
 
 @pytest.fixture(scope="module")
 def layout():
-    return embedded_layout(embedded_recording().network, EXTENT_M, np.random.default_rng(1))
+    return fill_streets(load_shipped_recording().network, EXTENT_M, np.random.default_rng(1))
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def parked(layout):
 
 
 def plan_of(centres, headings, models):
-    sizes = np.array([[d.length_m, d.width_m] for d in MODELS.values()])[np.asarray(models)]
+    sizes = np.array([[d.length_m, d.width_m] for d in load_vehicles().values()])[np.asarray(models)]
     local = sizes[:, None, :] / 2 * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
     position = np.c_[np.asarray(centres), np.zeros(len(sizes))]
     turn = body_to_enu(position, np.asarray(headings))
@@ -58,7 +58,7 @@ def test_parked_vehicles_overlap_neither_each_other_nor_buildings(layout, parked
 
 
 def test_no_driving_vehicle_touches_a_parked_one(parked):
-    traffic = embedded_recording().traffic
+    traffic = load_shipped_recording().traffic
     for time_s in np.arange(0.0, traffic.duration_s, 6.0):
         ids, states = traffic.at(float(time_s))
         driving = plan_of(states[:, :2], states[:, 2], traffic.model[ids])
@@ -74,7 +74,7 @@ def test_trees_and_buildings_stand_clear_of_the_street(layout):
 
 
 def test_the_window_has_streets_of_every_rank():
-    network = embedded_recording().network.within(box(*EXTENT_M))
+    network = load_shipped_recording().network.within(box(*EXTENT_M))
     kinds = {lane.street_type for lane in network.of_kind("car")}
     assert {"street.arterial", "street.collector", "street.residential"} <= kinds
     assert network.of_kind("crossing") and any(lane.signalled for lane in network.lanes)

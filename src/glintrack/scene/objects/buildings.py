@@ -7,24 +7,24 @@ from typing import Literal
 
 import numpy as np
 import shapely
-from jaxtyping import Float
 from shapely.geometry import Polygon
 
 from glintrack.core.arrays import Array
 from glintrack.scene.objects.geometry import (
     MeshBuilder,
     Patch,
+    bounding_rectangle,
     box_patch,
+    gable_or_hip_roof,
     join,
     mansard_roof,
     outline,
     parapet_roof,
-    pitched_roof,
-    rectangle_of,
+    upright,
     walls,
 )
 
-_PANE_OFFSET_M = 0.03  # panes stand this far before the wall: enough to keep rays apart from the plaster
+_PANE_OFFSET_M = 0.03  # of panes before the wall, so that rays meet them first
 
 
 @dataclass(frozen=True)
@@ -38,15 +38,15 @@ class Building:
     eaves_m
         Height of the walls. [m]
     roof
-        ``gable`` and ``hip`` stand on the footprint's least rectangle, ``mansard`` on any shape, ``flat`` has
-        a parapet.
+        ``gable`` and ``hip`` cover the footprint's smallest rectangle, ``mansard`` any shape, ``flat`` has a
+        parapet.
     wall, roof_material
         Materials.
     glazing
         ``rows`` of single windows, ``curtain`` for walls of glass, ``shopfront`` for glass on the ground
         floor only.
     slope_rad
-        Of the roof's planes. [rad]
+        Slope of the roof's planes. [rad]
     storey_m
         Height of a storey. [m]
     """
@@ -71,11 +71,11 @@ def add_building(
     builder
         Receives the surfaces.
     building
-        What to build.
+        Shape and materials.
     rng
-        Places chimneys, skylights and roof plant.
+        Source of chimneys, skylights and roof plant.
     foot_m
-        Where the walls begin, below the floor: lower on a slope. [m]
+        Height of the walls' lower edge relative to the floor. [m]
     """
     footprint = outline(building.footprint, tolerance_m=0.05)
     parapet_m = 0.5 if building.roof == "flat" else 0.0
@@ -84,7 +84,7 @@ def add_building(
     match building.roof:
         case "gable" | "hip":
             hip = building.roof == "hip"
-            planes, rest = pitched_roof(footprint, building.eaves_m, building.slope_rad, hip)
+            planes, rest = gable_or_hip_roof(footprint, building.eaves_m, building.slope_rad, hip)
             builder.add(building.roof_material, planes)
             builder.add(building.wall, rest)
             _add_chimney(builder, building, footprint, rng)
@@ -122,46 +122,31 @@ def _panes(footprint: Polygon, building: Building) -> Patch:
         along = (length - count * spacing) / 2 + spacing * (np.arange(count) + 0.5)
         bottoms = np.array([level * building.storey_m + sill for level in levels])
         tops = np.minimum(bottoms + top - sill, building.eaves_m - 0.1)
-        found.append(_pane_row(a, b, along, width, bottoms, tops))
+        direction = (b - a) / np.hypot(*(b - a))
+        outward = np.array([direction[1], -direction[0]]) * _PANE_OFFSET_M
+        middle = np.repeat(along, len(bottoms))
+        low, high = np.tile(bottoms, len(along)), np.tile(tops, len(along))
+        left, right = (a + outward + (middle + d)[:, None] * direction for d in (-width / 2, width / 2))
+        found.append(upright(left, right, low, high))
     return join(found)
-
-
-def _pane_row(
-    start: Float[Array, "2"],
-    end: Float[Array, "2"],
-    along: Float[Array, "pane"],
-    width: float,
-    bottoms: Float[Array, "level"],
-    tops: Float[Array, "level"],
-) -> Patch:
-    direction = (end - start) / np.hypot(*(end - start))
-    outward = np.array([direction[1], -direction[0]]) * _PANE_OFFSET_M
-    middle = np.repeat(along, len(bottoms))
-    low, high = np.tile(bottoms, len(along)), np.tile(tops, len(along))
-    left, right = (start + outward + (middle + d)[:, None] * direction for d in (-width / 2, width / 2))
-    quads = np.stack([np.c_[left, low], np.c_[right, low], np.c_[right, high], np.c_[left, high]], axis=1)
-    base = 4 * np.arange(len(middle))[:, None]
-    return quads.reshape(-1, 3), np.vstack([base + [0, 1, 2], base + [0, 2, 3]])
 
 
 def _add_chimney(
     builder: MeshBuilder, building: Building, footprint: Polygon, rng: np.random.Generator
 ) -> None:
-    centre, axis, length, width = rectangle_of(footprint)
+    centre, axis, length, width = bounding_rectangle(footprint)
     if rng.random() > 0.7:
         return
-    along = rng.uniform(-0.2, 0.2) * length
+    place = centre + rng.uniform(-0.2, 0.2) * length * axis
     ridge = building.eaves_m + 0.5 * width * math.tan(building.slope_rad)
-    place = centre + along * axis
-    height = 1.6
-    builder.add("brick", box_patch(np.array([*place, ridge + 0.2]), np.array([0.9, 0.7, height])))
+    builder.add("brick", box_patch(np.array([*place, ridge + 0.2]), np.array([0.9, 0.7, 1.6])))
 
 
 def _add_dormers(
     builder: MeshBuilder, building: Building, footprint: Polygon, rng: np.random.Generator
 ) -> None:
     """One or two gabled dormers on a side or both of a roof that is high enough for a room."""
-    centre, axis, length, width = rectangle_of(footprint)
+    centre, axis, length, width = bounding_rectangle(footprint)
     draw = rng.random(3)
     rise = 0.5 * width * math.tan(building.slope_rad)
     front_rise, cheek, gable = 0.2 * rise, 1.0, 0.4  # of the front wall's foot, and its two parts
@@ -187,16 +172,10 @@ def _add_dormer(
     plan: tuple[Array, Array, Array],
     heights_m: tuple[float, float, float],
 ) -> None:
-    """Build a closed house-shaped body with a window.
+    """Add a closed house-shaped body with a window.
 
-    Parameters
-    ----------
-    builder, building
-        What receives it, and where it belongs.
-    plan
-        Middle of its front, of its back in the roof, and the unit vector along the front. [m]
-    heights_m
-        Of the front wall's foot, its eaves and its ridge. [m]
+    ``plan`` has the middle of its front, of its back in the roof, and the unit vector along the front;
+    ``heights_m`` those of the front wall's foot, its eaves and its ridge. [m]
     """
     front, back, right = plan
     foot_m, eaves_m, ridge_m = heights_m
@@ -221,7 +200,7 @@ def _add_plant(
 ) -> None:
     """Stair heads, ventilation and cooling units on a flat roof: about one box in 150 m²."""
     deck = footprint.buffer(-2.5)
-    _, axis, _, _ = rectangle_of(footprint)
+    _, axis, _, _ = bounding_rectangle(footprint)
     heading = math.atan2(axis[1], axis[0])
     west, south, east, north = footprint.bounds
     for _ in range(min(int(footprint.area / 150), 12)):

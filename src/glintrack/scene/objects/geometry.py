@@ -12,7 +12,8 @@ import mapbox_earcut
 import numpy as np
 import shapely
 from jaxtyping import Float, Int
-from shapely.geometry import MultiPolygon, Polygon
+from numpy.typing import ArrayLike
+from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from glintrack.core.arrays import Array
@@ -60,7 +61,7 @@ class Mesh:
 
 @dataclass
 class MeshBuilder:
-    """Collects patches of surface by material name and joins them into one `Mesh` at the end."""
+    """Collects patches of surface by material name, and joins them into one `Mesh` at the end."""
 
     index: dict[str, int]
     _vertices: list[Array] = field(default_factory=list)
@@ -77,16 +78,16 @@ class MeshBuilder:
         self._append(np.asarray(vertices), np.asarray(faces), np.full(len(faces), number))
 
     def add_mesh(self, mesh: Mesh, transform: Float[Array, "3 4"], paint: int) -> None:
-        """Add a copy of a mesh, moved by ``transform``, its paint made good."""
+        """Add a transformed copy of a mesh, with a material index for its paint."""
         vertices = mesh.vertices @ transform[:, :3].T + transform[:, 3]
         self._append(vertices, mesh.faces, np.where(mesh.material == PAINT, paint, mesh.material))
 
     def mark(self) -> int:
-        """Where the next patch will go, for `raise_since`."""
+        """Return a mark of the present state, for `raise_since`."""
         return len(self._vertices)
 
     def raise_since(self, mark: int, rise: Callable[[Array], Array] | float) -> None:
-        """Raise all that was added since a mark by a height, or by a function of the vertices. [m]"""
+        """Raise all patches added since a mark by a height, or by a function of the vertices. [m]"""
         if mark == len(self._vertices):
             return
         raised = np.concatenate(self._vertices[mark:]).astype(float)
@@ -95,13 +96,11 @@ class MeshBuilder:
         self._vertices[mark:] = np.split(raised, ends[:-1])
 
     def mesh(self) -> Mesh:
-        """All that was added."""
-        if not self._faces:
-            return Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.int16))
+        """Return the mesh of all patches."""
         return Mesh(
-            np.concatenate(self._vertices).astype(np.float32),
-            np.concatenate(self._faces).astype(np.int32),
-            np.concatenate(self._material).astype(np.int16),
+            np.concatenate([np.zeros((0, 3)), *self._vertices]).astype(np.float32),
+            np.concatenate([np.zeros((0, 3), int), *self._faces]).astype(np.int32),
+            np.concatenate([np.zeros(0, int), *self._material]).astype(np.int16),
         )
 
     def _append(self, vertices: Array, faces: Array, material: Array) -> None:
@@ -117,33 +116,28 @@ EMPTY: Patch = (np.zeros((0, 3)), np.zeros((0, 3), int))
 
 
 def join(patches: Iterable[Patch]) -> Patch:
-    """One patch from several."""
-    vertices, faces, count = [], [], 0
+    """Join several patches into one."""
+    vertices, faces, count = [EMPTY[0]], [EMPTY[1]], 0
     for v, f in patches:
         vertices.append(np.asarray(v, float))
         faces.append(np.asarray(f, int) + count)
         count += len(v)
-    return (np.concatenate(vertices), np.concatenate(faces)) if vertices else EMPTY
+    return np.concatenate(vertices), np.concatenate(faces)
 
 
 def polygons(shape: BaseGeometry) -> list[Polygon]:
-    """The polygons of any plan geometry, slivers left out."""
-    parts = getattr(shape, "geoms", [shape])
-    return [
-        p
-        for part in parts
-        for p in (part.geoms if isinstance(part, MultiPolygon) else [part])
-        if isinstance(p, Polygon) and p.area > SLIVER_M2
-    ]
+    """List the polygons of any plan geometry without slivers."""
+    parts = shapely.get_parts(shapely.get_parts(shape))
+    return [p for p in parts if isinstance(p, Polygon) and p.area > SLIVER_M2]
 
 
 def outline(polygon: Polygon, tolerance_m: float) -> Polygon:
-    """Polygon with fewer corners, its outer ring counter-clockwise."""
+    """Outline of a polygon with fewer corners, counter-clockwise."""
     return shapely.geometry.polygon.orient(polygons(polygon.simplify(tolerance_m))[0])
 
 
-def tiled(shape: BaseGeometry, size_m: float = 60.0) -> list[Polygon]:
-    """The shape cut along a square grid: ear clipping slows with the square of a polygon's corners. [m]"""
+def cut_into_tiles(shape: BaseGeometry, size_m: float = 60.0) -> list[Polygon]:
+    """Cut a shape along a square grid [m], for ear clipping, which is quadratic in a polygon's corners."""
     pieces = []
     for polygon in polygons(shape):
         west, south, east, north = polygon.bounds
@@ -151,25 +145,25 @@ def tiled(shape: BaseGeometry, size_m: float = 60.0) -> list[Polygon]:
             pieces.append(polygon)
             continue
         if max(east - west, north - south) > _COARSE_TILES * size_m:  # first into coarse tiles: clipping a
-            coarse = tiled(polygon, _COARSE_TILES / 2 * size_m)  # large polygon often is slow
-            pieces += [piece for part in coarse for piece in tiled(part, size_m)]
+            coarse = cut_into_tiles(polygon, _COARSE_TILES / 2 * size_m)  # large polygon often is slow
+            pieces += [piece for part in coarse for piece in cut_into_tiles(part, size_m)]
             continue
         for x in np.arange(math.floor(west / size_m), math.ceil(east / size_m)) * size_m:
             for y in np.arange(math.floor(south / size_m), math.ceil(north / size_m)) * size_m:
-                pieces += polygons(clipped(polygon, Extent(x, y, x + size_m, y + size_m)))
+                pieces += polygons(clip(polygon, Extent(x, y, x + size_m, y + size_m)))
     return pieces
 
 
-def clipped(shape: BaseGeometry, bounds_m: tuple[float, float, float, float]) -> BaseGeometry:
-    """The part of a shape within west, south, east, north. [m]"""
+def clip(shape: BaseGeometry, bounds_m: tuple[float, float, float, float]) -> BaseGeometry:
+    """Clip a shape to west, south, east, north. [m]"""
     try:
         return shapely.clip_by_rect(shape, *bounds_m)
-    except shapely.GEOSException:  # the quick clipping stumbles over slivers along the rectangle
+    except shapely.GEOSException:  # clip_by_rect fails on slivers along the rectangle
         return shape.intersection(shapely.box(*bounds_m))
 
 
 def flat(shape: BaseGeometry, height_m: float) -> Patch:
-    """Level surface over a plan shape, holes respected, facing up."""
+    """Level surface over a plan shape with its holes, facing up."""
     patches = []
     for polygon in polygons(shape):
         closed, ring = shapely.get_coordinates(shapely.get_rings(polygon), return_index=True)
@@ -179,11 +173,11 @@ def flat(shape: BaseGeometry, height_m: float) -> Patch:
         vertices = np.full((len(corners), 3), height_m, float)
         vertices[:, :2] = corners
         patches.append(facing_up((vertices, faces)))
-    return patches[0] if len(patches) == 1 else join(patches)
+    return join(patches)
 
 
 def facing_up(patch: Patch) -> Patch:
-    """The patch with every face turned so that its normal points up."""
+    """Orient every face of a patch so that its normal points up."""
     vertices, faces = patch
     (ax, ay), (bx, by), (cx, cy) = vertices[faces, :2].transpose(1, 2, 0)
     down = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < 0
@@ -202,40 +196,36 @@ def walls(shape: BaseGeometry, bottom_m: float, top_m: float, inward: bool = Fal
     return join(patches)
 
 
-def upright(start: Float[Array, "n 2"], end: Float[Array, "n 2"], bottom_m: float, top_m: float) -> Patch:
+def upright(
+    start: Float[Array, "n 2"], end: Float[Array, "n 2"], bottom_m: ArrayLike, top_m: ArrayLike
+) -> Patch:
     """Upright rectangles from ``start`` to ``end``, facing right of that direction."""
-    n = len(start)
-    low, high = np.full((n, 1), bottom_m), np.full((n, 1), top_m)
-    corners = np.stack([np.hstack(p) for p in ((start, low), (end, low), (end, high), (start, high))], axis=1)
-    base = 4 * np.arange(n)[:, None]
+    low, high = (np.broadcast_to(height, len(start)) for height in (bottom_m, top_m))
+    corners = np.stack([np.c_[start, low], np.c_[end, low], np.c_[end, high], np.c_[start, high]], axis=1)
+    base = 4 * np.arange(len(start))[:, None]
     return corners.reshape(-1, 3), np.vstack([base + [0, 1, 2], base + [0, 2, 3]])
 
 
 def extrude(shape: BaseGeometry, bottom_m: float, top_m: float) -> Patch:
-    """Closed prism over a plan shape: walls, top and underside."""
+    """Extrude a plan shape into a closed prism."""
     vertices, faces = flat(shape, bottom_m)
     return join([walls(shape, bottom_m, top_m), flat(shape, top_m), (vertices, faces[:, ::-1])])
 
 
 def box_patch(centre: Float[Array, "3"], size: Float[Array, "3"], heading_rad: float = 0.0) -> Patch:
-    """Closed box by centre and (length, width, height), its length along ``heading_rad`` from east, ccw."""
+    """Box by centre and (length, width, height), its length along ``heading_rad`` from east, ccw. [m, rad]"""
     unit = np.array(
         [[x, y, z] for z in (-0.5, 0.5) for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]
     )
-    local = unit * np.asarray(size, float)
+    x, y, z = (unit * np.asarray(size, float)).T
     c, s = math.cos(heading_rad), math.sin(heading_rad)
-    turned = np.c_[local[:, 0] * c - local[:, 1] * s, local[:, 0] * s + local[:, 1] * c, local[:, 2]]
+    vertices = np.c_[x * c - y * s, x * s + y * c, z] + np.asarray(centre, float)
     quads = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
-    return turned + np.asarray(centre, float), quad_faces(quads)
+    return vertices, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], dtype=int)
 
 
-def quad_faces(quads: Iterable[tuple[int, int, int, int]]) -> Int[Array, "face 3"]:
-    """Two triangles for each quadrilateral."""
-    return np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], dtype=int)
-
-
-class LeastRectangle(NamedTuple):
-    """Least rectangle around a footprint: centre, unit vector of its long axis, length and width. [m]"""
+class BoundingRectangle(NamedTuple):
+    """Smallest rectangle around a footprint: centre, unit vector of its long axis, length and width. [m]"""
 
     centre: Float[Array, "2"]
     axis: Float[Array, "2"]
@@ -243,26 +233,26 @@ class LeastRectangle(NamedTuple):
     width: float
 
 
-def rectangle_of(shape: Polygon) -> LeastRectangle:
-    """Find the least rectangle around a footprint."""
+def bounding_rectangle(shape: Polygon) -> BoundingRectangle:
+    """Find the smallest rectangle around a footprint."""
     corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(shape))[:4]
     first, second = corners[1] - corners[0], corners[2] - corners[1]
     length, width = np.hypot(*first), np.hypot(*second)
     axis = first / max(length, 1e-9)
     if length < width:
         length, width, axis = width, length, second / max(width, 1e-9)
-    return LeastRectangle(corners.mean(axis=0), axis, float(length), float(width))
+    return BoundingRectangle(corners.mean(axis=0), axis, float(length), float(width))
 
 
-def pitched_roof(
+def gable_or_hip_roof(
     shape: Polygon, eaves_m: float, slope_rad: float, hip: bool, overhang_m: float = 0.4
 ) -> tuple[Patch, Patch]:
-    """Gable or hip roof over a footprint's least rectangle, as a closed solid.
+    """Gable or hip roof over a footprint's smallest rectangle, as a closed solid.
 
     Parameters
     ----------
     shape
-        Footprint; its least rectangle carries the roof.
+        Footprint.
     eaves_m
         Height of the eaves. [m]
     slope_rad
@@ -270,29 +260,20 @@ def pitched_roof(
     hip
         Four planes; else two planes and two gable walls.
     overhang_m
-        How far the roof stands out beyond the walls. [m]
+        Overhang of the roof beyond the walls. [m]
 
     Returns
     -------
     The roof planes, and the rest (gables and underside).
     """
-    centre, axis, length, width = rectangle_of(shape)
+    centre, axis, length, width = bounding_rectangle(shape)
     half_length, half_width = length / 2 + overhang_m, width / 2 + overhang_m
     ridge = eaves_m + half_width * math.tan(slope_rad)
     ridge_half = half_length - (min(half_width, 0.9 * half_length) if hip else 0.0)
     across = np.array([-axis[1], axis[0]])
-    plan = [
-        centre + u * axis + v * across
-        for u, v in (
-            (-half_length, -half_width),
-            (half_length, -half_width),
-            (half_length, half_width),
-            (-half_length, half_width),
-            (-ridge_half, 0.0),
-            (ridge_half, 0.0),
-        )
-    ]
-    vertices = np.c_[np.array(plan), [eaves_m] * 4 + [ridge] * 2]
+    u = np.array([-half_length, half_length, half_length, -half_length, -ridge_half, ridge_half])[:, None]
+    v = np.array([-half_width, -half_width, half_width, half_width, 0.0, 0.0])[:, None]
+    vertices = np.c_[centre + u * axis + v * across, [eaves_m] * 4 + [ridge] * 2]
     planes = [(0, 1, 5), (0, 5, 4), (2, 3, 4), (2, 4, 5)]
     ends = [(1, 2, 5), (3, 0, 4)]
     underside = [(0, 3, 2), (0, 2, 1)]

@@ -1,10 +1,9 @@
 """Trees and hedges: a few models of leaf cards, placed many times.
 
-A tree is a trunk and a crown of leaf cards in clusters, one metre high. A hedge is a row of two-metre pieces,
-each a dark core in a coat of leaf cards. A card stands for a spray of leaves: a bent quadrilateral that faces
-outward and up. It is a sheet, not a closed body, and has two sides: rays meet it from below as well. An
-instance is a model turned about its trunk and scaled by the tree's height; its leaves are of the instance's
-own material (`PAINT`).
+A tree model is a trunk and a crown of leaf cards in clusters, one metre high. A hedge is a row of two-metre
+pieces, each a dark core covered by leaf cards. A card represents a spray of leaves: a bent quadrilateral that
+faces outward and up. It is a two-sided sheet, not a closed body. An instance is a model rotated about its
+trunk and scaled by the tree's height; its leaves have the instance's own material (`PAINT`).
 """
 
 import math
@@ -23,7 +22,7 @@ Kind = Literal["broadleaf", "conifer"]
 _CLUSTERS = 16
 _CARDS_PER_CLUSTER = 10
 _TRUNK_SIDES = 5
-_ROOT = 0.03  # of the height: so deep stands the trunk, on slopes too
+_ROOT = 0.03  # depth of the trunk in the ground, of the height, for slopes
 _TREE_SEED = 20100406
 # kind and crown radius over height of each model: those of `draw_tree`, in even steps
 _SHAPES: tuple[tuple[Kind, float], ...] = (
@@ -34,19 +33,7 @@ _SHAPES: tuple[tuple[Kind, float], ...] = (
 
 @dataclass(frozen=True)
 class Tree:
-    """One tree.
-
-    Parameters
-    ----------
-    east_m, north_m
-        Foot of the trunk. [m]
-    height_m, crown_radius_m
-        [m]
-    kind
-        Shape of its crown.
-    leaf
-        Material of its leaves.
-    """
+    """A tree: foot of its trunk, size [m], shape of its crown, material of its leaves."""
 
     east_m: float
     north_m: float
@@ -57,7 +44,7 @@ class Tree:
 
 
 def draw_tree(east_m: float, north_m: float, rng: np.random.Generator, height_m: tuple[float, float]) -> Tree:
-    """A tree of random kind and size at a place, between two heights. [m]."""
+    """Draw a tree of random kind and size, between two heights. [m]"""
     height = rng.uniform(*height_m)
     if rng.random() < 0.15:
         return Tree(
@@ -68,43 +55,31 @@ def draw_tree(east_m: float, north_m: float, rng: np.random.Generator, height_m:
 
 
 def tree_models(index: dict[str, int]) -> tuple[Mesh, ...]:
-    """The models, one metre high, foot of the trunk at the origin; the same in every city.
-
-    Parameters
-    ----------
-    index
-        Material index by name.
-    """
+    """Build the tree models, one metre high, foot of the trunk at the origin; the same in every city."""
+    angle = 2 * math.pi * np.arange(_TRUNK_SIDES) / _TRUNK_SIDES
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    radius, top = 0.025, 0.7
+    foot = np.c_[ring * radius, np.full(_TRUNK_SIDES, -_ROOT)]
+    head = np.c_[ring * radius * 0.4, np.full(_TRUNK_SIDES, top)]
+    k = np.arange(_TRUNK_SIDES)
+    lower, upper = np.c_[k, (k + 1) % _TRUNK_SIDES], np.c_[k, (k + 1) % _TRUNK_SIDES] + _TRUNK_SIDES
+    faces = np.vstack([np.c_[lower, upper[:, 1]], np.c_[k, upper[:, ::-1]]])
     models = []
     for number, (kind, ratio) in enumerate(_SHAPES):
         builder = MeshBuilder(index)
-        builder.add("bark", _trunk())
+        builder.add("bark", (np.vstack([foot, head]), faces))
         builder.add("paint", _crown(kind, ratio, np.random.default_rng((_TREE_SEED, number))))
         models.append(builder.mesh())
     return tuple(models)
 
 
 def tree_model_of(trees: Sequence[Tree]) -> Int[Array, "tree"]:
-    """Which of `tree_models` each tree is: of its kind, the one whose proportions are nearest."""
+    """Index of the model of the same kind with the nearest proportions, for each tree."""
     ratio = np.array([tree.crown_radius_m / tree.height_m for tree in trees])
     conifer = np.array([tree.kind == "conifer" for tree in trees], bool)
     off = np.abs(ratio[:, None] - np.array([shape[1] for shape in _SHAPES]))
     off += conifer[:, None] != np.array([shape[0] == "conifer" for shape in _SHAPES])  # 1 is beyond any ratio
     return off.argmin(axis=1)
-
-
-def _trunk() -> Patch:
-    radius, top = 0.025, 0.7
-    angle = 2 * math.pi * np.arange(_TRUNK_SIDES) / _TRUNK_SIDES
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    foot = np.c_[ring * radius, np.full(_TRUNK_SIDES, -_ROOT)]
-    head = np.c_[ring * radius * 0.4, np.full(_TRUNK_SIDES, top)]
-    k = np.arange(_TRUNK_SIDES)
-    after = (k + 1) % _TRUNK_SIDES
-    faces = np.vstack(
-        [np.c_[k, after, after + _TRUNK_SIDES], np.c_[k, after + _TRUNK_SIDES, k + _TRUNK_SIDES]]
-    )
-    return np.vstack([foot, head]), faces
 
 
 def _crown(kind: Kind, crown_radius: float, rng: np.random.Generator) -> Patch:
@@ -164,24 +139,14 @@ def _directions(count: int, rng: np.random.Generator) -> Float[Array, "count 3"]
 
 PIECE_M = 2.0
 HALF_WIDTH_M = 0.45
-_TOP_M, _ROOT_M = 1.2, 0.25  # so deep it stands in the ground, on slopes too
+_TOP_M, _ROOT_M = 1.2, 0.25  # height, and depth in the ground for slopes
 _CARDS = 70
 _HEDGE_SEED = 20100407
 
 
 @dataclass(frozen=True)
 class HedgePiece:
-    """One piece of a hedge.
-
-    Parameters
-    ----------
-    east_m, north_m
-        Its middle. [m]
-    heading_rad
-        Along it, clockwise from north. [rad]
-    leaf
-        Material of its leaves.
-    """
+    """Middle of a piece of hedge [m], its heading clockwise from north [rad], the material of its leaves."""
 
     east_m: float
     north_m: float
@@ -190,7 +155,7 @@ class HedgePiece:
 
 
 def hedge_along(line: LineString, leaf: str = "leaf") -> list[HedgePiece]:
-    """Whole pieces along a straight line, centred on it. [m]"""
+    """Place whole pieces along a straight line, centred on it. [m]"""
     count = int(line.length / PIECE_M)
     (x0, y0), (x1, y1) = line.coords[0], line.coords[-1]
     heading = float(np.arctan2(x1 - x0, y1 - y0) % (2 * np.pi))
@@ -200,13 +165,7 @@ def hedge_along(line: LineString, leaf: str = "leaf") -> list[HedgePiece]:
 
 
 def hedge_model(index: dict[str, int]) -> Mesh:
-    """One piece along x, its foot at the origin; the leaves are the instance's own material.
-
-    Parameters
-    ----------
-    index
-        Material index by name.
-    """
+    """Build one piece along x, its foot at the origin; the leaves have the instance's own material."""
     rng = np.random.default_rng(_HEDGE_SEED)
     middle = (_TOP_M - _ROOT_M) / 2
     builder = MeshBuilder(index)
@@ -214,14 +173,9 @@ def hedge_model(index: dict[str, int]) -> Mesh:
     builder.add("paint", box_patch(np.array([0.0, 0.0, middle - 0.1]), core))
     half = np.array([PIECE_M / 2, HALF_WIDTH_M - 0.12, _TOP_M / 2 - 0.06])
     place = rng.uniform(-1, 1, (_CARDS, 3))
-    side = rng.random(_CARDS) < 0.35  # on the top; the others stand on the two long faces
+    side = rng.random(_CARDS) < 0.35  # on the top; the others are on the two long faces
     place[side, 2], place[~side, 1] = 1.0, np.sign(place[~side, 1])
     outward = np.where(side[:, None], [0.0, 0.0, 1.0], place * [0.0, 1.0, 0.0])
     centres = place * half + [0.0, 0.0, _TOP_M / 2]
     builder.add("paint", join([leaf_cards(centres, outward, rng.uniform(0.12, 0.22, _CARDS), rng)]))
     return builder.mesh()
-
-
-def plan_of(pieces: Sequence[HedgePiece]) -> Array:
-    """East, north and heading of each piece, shape (k, 3). [m, rad]"""
-    return np.array([(p.east_m, p.north_m, p.heading_rad) for p in pieces], float).reshape(-1, 3)

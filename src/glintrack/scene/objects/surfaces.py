@@ -1,14 +1,13 @@
 """Roads and ground of a city: the network's lanes, carriageways, kerbs, pavements, markings and patches.
 
-Surfaces are cut so that none lies over another; only road markings lie 2 cm above the asphalt they are
-painted on. A plane 10 cm below all shows through wherever two cut surfaces leave a gap of rounding, and
-reaches 3 km out.
+Surfaces do not overlap; only road markings are 2 cm above the asphalt. A plane 10 cm below fills gaps of
+rounding between surfaces, and extends 3 km beyond them.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Literal
+from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 import shapely
@@ -20,20 +19,11 @@ from shapely.ops import substring, unary_union
 
 from glintrack.core.arrays import Array
 from glintrack.core.interpolation import height_at
-from glintrack.scene.objects.geometry import MeshBuilder, clipped, flat, polygons, walls
-from glintrack.scene.objects.geometry import tiled as _tiled
+from glintrack.scene.objects.geometry import MeshBuilder, clip, cut_into_tiles, flat, polygons, walls
 from glintrack.scene.objects.terrain import STEP_M, ground_surface
 
 LaneKind = Literal["car", "parking", "walk", "rail", "crossing", "walking_area", "internal"]
-LANE_KINDS: tuple[LaneKind, ...] = (
-    "car",
-    "parking",
-    "walk",
-    "rail",
-    "crossing",
-    "walking_area",
-    "internal",
-)
+LANE_KINDS: tuple[LaneKind, ...] = get_args(LaneKind)
 
 
 @dataclass(frozen=True)
@@ -47,7 +37,7 @@ class Lane:
     index
         Position among the lanes of its street, 0 at the kerb.
     kind
-        What moves on it; a ``walking_area`` is a polygon, all others are centre lines.
+        Use of the lane; a ``walking_area`` is a polygon, all others are centre lines.
     points
         Centre line in driving direction, or the polygon's corners. [m]
     width_m
@@ -88,11 +78,11 @@ class RoadNetwork:
     junctions: tuple[Float[Array, "corner 2"], ...]
 
     def of_kind(self, *kinds: LaneKind) -> list[Lane]:
-        """Lanes of the given kinds."""
+        """Select the lanes of some kinds."""
         return [lane for lane in self.lanes if lane.kind in kinds]
 
-    def shifted(self, east_m: float, north_m: float) -> "RoadNetwork":
-        """The same network with its origin moved by the given vector (coordinates are added). [m]"""
+    def shift(self, east_m: float, north_m: float) -> "RoadNetwork":
+        """Move the origin by adding a vector to all coordinates. [m]"""
         move = np.array([east_m, north_m])
         return RoadNetwork(
             tuple(replace(lane, points=lane.points + move) for lane in self.lanes),
@@ -100,23 +90,17 @@ class RoadNetwork:
         )
 
     def within(self, area: Polygon) -> "RoadNetwork":
-        """Only what touches the area; nothing is cut."""
-        return RoadNetwork(
-            tuple(
-                lane
-                for lane in self.lanes
-                if (Polygon(lane.points) if lane.kind == "walking_area" else lane.line).intersects(area)
-            ),
-            tuple(c for c in self.junctions if Polygon(c).intersects(area)),
-        )
+        """Select the lanes and junctions that touch an area, without cutting them."""
+        shapes = [Polygon(one.points) if one.kind == "walking_area" else one.line for one in self.lanes]
+        lanes = (lane for lane, shape in zip(self.lanes, shapes, strict=True) if shape.intersects(area))
+        return RoadNetwork(tuple(lanes), tuple(c for c in self.junctions if Polygon(c).intersects(area)))
 
 
 ROAD_M, PAVEMENT_M, GROUND_M, MARKING_M, BASE_M = 0.0, 0.12, 0.05, 0.02, -0.10
 KERB_WIDTH_M = 0.15
-_OUTLINE_TOLERANCE_M = 0.04  # an outline may stray this far for fewer corners
+_OUTLINE_TOLERANCE_M = 0.04  # of outlines simplified to fewer corners
 _LINE_HALF_WIDTH_M = 0.075
 _BASE_REACH_M = 3000.0
-_TILE_M = 60.0  # ear clipping slows with the square of a polygon's corners
 
 
 @dataclass(frozen=True)
@@ -130,7 +114,7 @@ class GroundPatch:
 
 @dataclass(frozen=True)
 class RoadAreas:
-    """Plan areas of the streets; none overlaps another except the markings, which lie on the carriageway."""
+    """Plan areas of the streets, which do not overlap; the markings are on the carriageway."""
 
     carriageway: BaseGeometry
     kerb: BaseGeometry
@@ -140,20 +124,12 @@ class RoadAreas:
 
     @cached_property
     def all(self) -> BaseGeometry:
-        """Everything that belongs to the street."""
+        """Union of carriageway, kerb, pavement and rail."""
         return unary_union([self.carriageway, self.kerb, self.pavement, self.rail])
 
 
 def road_areas(network: RoadNetwork, area: BaseGeometry) -> RoadAreas:
-    """Plan areas of a network's streets within an area.
-
-    Parameters
-    ----------
-    network
-        Lanes, junctions and crossings. [m]
-    area
-        What is kept. [m]
-    """
+    """Plan areas of a network's streets within an area. [m]"""
     driven = [_strip(lane) for lane in network.of_kind("car", "parking", "internal")]
     driven += [Polygon(corners).buffer(0) for corners in network.junctions]
     # closing by 0.6 m fills the wedges between lanes that meet at an angle
@@ -185,43 +161,46 @@ def add_ground(
     builder
         Receives the surfaces.
     streets
-        Cut out of everything else.
+        Areas of the streets, which cover everything else.
     patches
-        Laid in order, each cut by the streets and by those before it.
+        Patches of ground; earlier ones cover later ones.
     area
-        What is covered. [m]
+        Area to cover. [m]
     rest
-        Material of the ground no patch covers, and of the plane below and beyond.
+        Material of the ground without a patch, and of the plane below and beyond.
     terrain
         Schema ``terrain``: the surfaces are cut finer and draped over it; without it the ground is level.
     """
     mark = builder.mark()
-    tiled = partial(_tiled, size_m=_TILE_M if terrain is None else STEP_M)
-    for piece in tiled(streets.carriageway):
-        builder.add("asphalt", flat(piece, ROAD_M))
-    for material, shape in (("kerb", streets.kerb), ("pavement", streets.pavement)):
-        for piece in tiled(shape):
-            builder.add(material, flat(piece, PAVEMENT_M))
+
+    def lay(material: str, shape: BaseGeometry, height_m: float) -> None:
+        for piece in cut_into_tiles(shape) if terrain is None else cut_into_tiles(shape, STEP_M):
+            builder.add(material, flat(piece, height_m))
+
+    lay("asphalt", streets.carriageway, ROAD_M)
+    lay("kerb", streets.kerb, PAVEMENT_M)
+    lay("pavement", streets.pavement, PAVEMENT_M)
     raised = streets.kerb.union(streets.pavement)
     ring = raised if terrain is None else raised.segmentize(STEP_M)
     builder.add("kerb", walls(ring, BASE_M, PAVEMENT_M))
-    for piece in tiled(streets.rail):
-        builder.add("soil", flat(piece, GROUND_M))
-    for piece in tiled(streets.markings):
-        builder.add("road_paint", flat(piece, MARKING_M))
+    lay("soil", streets.rail, GROUND_M)
+    lay("road_paint", streets.markings, MARKING_M)
     laid = [patch.shape for patch in patches]
     bounds = np.array([s.bounds if not s.is_empty else (0, 0, 0, 0) for s in laid]).reshape(-1, 4)
     for k, patch in enumerate(patches):
         shape = patch.shape.intersection(area)
-        # only what lies near is cut away: the whole street network is slow to subtract a thousand times
+        # only shapes near by are subtracted, because the whole street network is slow to subtract
         west, south, east, north = bounds[k]
         close = (bounds[:k, 0] <= east) & (bounds[:k, 2] >= west)
         close &= (bounds[:k, 1] <= north) & (bounds[:k, 3] >= south)
         near = [laid[i] for i in np.flatnonzero(close) if laid[i].intersects(shape)]
-        for piece in tiled(_without(shape, near, streets.all)):
-            builder.add(patch.material, flat(piece, patch.height_m))
-    for piece in tiled(area.difference(unary_union([streets.all, *laid]))):
-        builder.add(rest, flat(piece, GROUND_M))
+        if not shape.is_empty:
+            try:
+                shape = shape.difference(unary_union([*near, clip(streets.all, shape.bounds)]))
+            except shapely.GEOSException:  # quick clipping may leave rings that cross themselves
+                shape = shape.difference(unary_union([*near, streets.all.intersection(shape)]))
+        lay(patch.material, shape, patch.height_m)
+    lay(rest, area.difference(unary_union([streets.all, *laid])), GROUND_M)
     if terrain is None:
         reach = max(_BASE_REACH_M, *(abs(b) + _BASE_REACH_M / 2 for b in area.bounds))
         builder.add(rest, flat(box(-reach, -reach, reach, reach), BASE_M))
@@ -230,25 +209,15 @@ def add_ground(
     builder.add(rest, ground_surface(terrain, -BASE_M))
 
 
-def blocks(streets: RoadAreas, area: BaseGeometry, least_m2: float = 400.0) -> list[Polygon]:
-    """Pieces of the area enclosed by streets, ordered by place so that the order is stable. [m]."""
+def blocks(streets: RoadAreas, area: BaseGeometry) -> list[Polygon]:
+    """Pieces of the area enclosed by streets, from 400 m², ordered by position. [m]"""
     pieces = polygons(area.difference(streets.all).buffer(-0.5).buffer(0.5))
-    large = [p for p in pieces if p.area >= least_m2]
+    large = [p for p in pieces if p.area >= 400.0]
     return sorted(large, key=lambda p: (round(p.centroid.x, 3), round(p.centroid.y, 3)))
 
 
 def _strip(lane: Lane) -> BaseGeometry:
     return lane.line.buffer(lane.width_m / 2, cap_style="flat", join_style="mitre", mitre_limit=2)
-
-
-def _without(shape: BaseGeometry, laid: Sequence[BaseGeometry], streets: BaseGeometry) -> BaseGeometry:
-    """A shape without what is laid already, and without the streets."""
-    if shape.is_empty:
-        return shape
-    try:
-        return shape.difference(unary_union([*laid, clipped(streets, shape.bounds)]))
-    except shapely.GEOSException:  # quick clipping may leave rings that cross themselves
-        return shape.difference(unary_union([*laid, streets.intersection(shape)]))
 
 
 def _markings(network: RoadNetwork) -> BaseGeometry:

@@ -1,4 +1,4 @@
-"""The ground's height: level, gently rolling by rule, or a raster's; and how to stand on it."""
+"""Height of the ground: level, rolling hills, or from a raster; and its slope."""
 
 import math
 from pathlib import Path
@@ -19,12 +19,12 @@ from glintrack.io.untrusted import check_heights, open_raster, plain
 from glintrack.scene.objects.geometry import Patch
 
 STEP_M = 10.0
-_REACH_M = 3000.0  # the plane below and beyond goes this far, because an oblique frame sees far
-_SLOPE_SPAN_M = 1.5  # half a vehicle's wheelbase, about: slopes are taken over twice this
+_REACH_M = 3000.0  # of the plane beyond the terrain, for oblique frames
+_SLOPE_SPAN_M = 1.5  # half a vehicle's wheelbase
 _WAVES_M = (900.0, 420.0, 210.0)  # wavelengths of rolling ground
 
 
-def level_terrain(bounds_m: tuple[float, float, float, float]) -> xr.Dataset:
+def flat_terrain(bounds_m: tuple[float, float, float, float]) -> xr.Dataset:
     """Height zero over west, south, east, north [m], as a Dataset of schema ``terrain``."""
     x, y = _grid(bounds_m)
     return _dataset(x, y, np.zeros((y.size, x.size)))
@@ -33,17 +33,7 @@ def level_terrain(bounds_m: tuple[float, float, float, float]) -> xr.Dataset:
 def rolling_terrain(
     bounds_m: tuple[float, float, float, float], relief_m: float, rng: np.random.Generator
 ) -> xr.Dataset:
-    """Gentle hills.
-
-    Parameters
-    ----------
-    bounds_m
-        West, south, east, north. [m]
-    relief_m
-        From the lowest to the highest point. [m]
-    rng
-        Draws their directions and phases.
-    """
+    """Gentle hills of a relief [m] over west, south, east, north [m], as a Dataset of schema ``terrain``."""
     x, y = _grid(bounds_m)
     height = np.zeros((y.size, x.size))
     for wave_m in _WAVES_M:
@@ -61,7 +51,7 @@ def read_dem(
     crs: str,
     origin_m: tuple[float, float],
 ) -> tuple[xr.Dataset, float]:
-    """Heights of a raster under a scene.
+    """Read the heights of a raster under a scene.
 
     Parameters
     ----------
@@ -70,7 +60,7 @@ def read_dem(
     bounds_m
         West, south, east, north in ENU that it must cover. [m]
     crs, origin_m
-        The scene's projected CRS and the place of ENU (0, 0) in it. [m]
+        The scene's projected CRS and the position of ENU (0, 0) in it. [m]
 
     Returns
     -------
@@ -121,7 +111,7 @@ def read_dem(
 
 
 def is_level(terrain: xr.Dataset) -> bool:
-    """Whether the ground has one height everywhere."""
+    """Return True if the ground has one height everywhere."""
     return bool(np.ptp(terrain["height"].values) == 0)
 
 
@@ -136,7 +126,7 @@ def slope_at(
 
 
 def ground_surface(terrain: xr.Dataset, below_m: float) -> Patch:
-    """The ground as a surface some way below itself, going on level beyond its edge; faces up. [m]"""
+    """Surface at a depth below the ground, level beyond its edge, facing up. [m]"""
     x = terrain["x"].values
     x = np.r_[x[0] - _REACH_M, x, x[-1] + _REACH_M]
     y = terrain["y"].values

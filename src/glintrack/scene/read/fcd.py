@@ -1,7 +1,7 @@
-"""Floating-car data: SUMO's FCD as XML (plain or gzipped), CSV or Parquet, read and written.
+"""Floating-car data: SUMO's FCD as XML (plain or gzipped), CSV or Parquet.
 
-Whatever the format, a row is a vehicle at a time: the centre of its front bumper, its angle clockwise from
-north in degrees, and its type. Types that are not ours become the model their name suggests, else a car.
+In each format a row is a vehicle at a time: the centre of its front bumper, its angle clockwise from north in
+degrees, and its type. An unknown type becomes the model its name suggests, else a car.
 """
 
 import gzip
@@ -23,15 +23,15 @@ from glintrack.core.arrays import Array
 from glintrack.io.tables import read_csv
 from glintrack.io.untrusted import check_file, check_netcdf
 from glintrack.scene.traffic import Traffic, read_recording
-from glintrack.scene.vehicles import MODELS
+from glintrack.scene.vehicles import VEHICLE_CLASSES
 
 _COLUMNS = ("timestep_time", "vehicle_id", "vehicle_type", "vehicle_x", "vehicle_y", "vehicle_angle")
 _NUMBERS = ("timestep_time", "vehicle_x", "vehicle_y", "vehicle_angle")
-_OFF_CLOCK = 0.1  # of a step: times are rounded
-_MOST_ROWS = 50_000_000
-_LONGEST_S = 1e6  # eleven days
-_FURTHEST_M = 1e6  # coordinates beyond this are no scene's: geographic or broken ones
-# word in a type's name -> our model, the first that fits
+_MAX_CLOCK_ERROR = 0.1  # of a step: times are rounded
+_MAX_ROWS = 50_000_000
+_MAX_DURATION_S = 1e6  # eleven days
+_MAX_COORDINATE_M = 1e6  # larger coordinates are geographic or broken
+# model, and words in a type's name; the first match counts
 _WORDS = (
     ("motorcycle", ("motorcycle", "moped", "motorbike", "scooter")),
     ("bus", ("bus", "coach")),
@@ -40,20 +40,20 @@ _WORDS = (
     ("suv", ("suv", "jeep", "offroad", "pickup")),
     ("hatch", ("hatch", "compact", "small")),
 )
-_MOST_TOLD = 6  # types
+_MAX_NAMED_TYPES = 6
 _NO_ROAD_USERS = ("pedestrian", "bicycle", "bike", "tram", "rail", "subway", "ship", "person")
 
 
 @dataclass(frozen=True)
 class Oddities:
-    """What was made of floating-car data where they do not fit.
+    """Changes made to floating-car data.
 
     Parameters
     ----------
     guessed, left_out
-        Vehicles shown as the model that their type suggests, and what is no road user, by type.
+        Number of vehicles with the model that their type suggests, and of other road users, by type.
     returned
-        Vehicles that vanished and came back, each time as another one.
+        Number of times that a vehicle disappeared and came back as another one.
     """
 
     guessed: dict[str, int]
@@ -61,23 +61,24 @@ class Oddities:
     returned: int
 
     def sentences(self) -> tuple[str, ...]:
-        """What to say of them."""
+        """Describe the changes, one sentence each."""
+
+        def count(kinds: dict[str, int]) -> str:
+            few = list(kinds.items())[:_MAX_NAMED_TYPES]
+            return ", ".join(f"{n} × {kind or 'no type'}" for kind, n in few)
+
         said = ()
         if self.guessed:
             said += (
                 f"{sum(self.guessed.values())} vehicles are shown as the model their type suggests, "
-                f"else a car: {_few(self.guessed)}",
+                f"else a car: {count(self.guessed)}",
             )
         if self.left_out:
-            said += (f"what is no road vehicle is left out: {_few(self.left_out)}",)
+            said += (f"what is no road vehicle is left out: {count(self.left_out)}",)
         if self.returned:
             times = "once" if self.returned == 1 else f"{self.returned} times"
             said += (f"vehicles that vanish and come back do so as others, {times}",)
         return said
-
-
-def _few(kinds: dict[str, int]) -> str:
-    return ", ".join(f"{n} × {kind or 'no type'}" for kind, n in list(kinds.items())[:_MOST_TOLD])
 
 
 def read_fcd(
@@ -86,26 +87,26 @@ def read_fcd(
     start_s: float | None = None,
     returning: bool = True,
 ) -> tuple[Traffic, Oddities]:
-    """Floating-car data cropped to a window.
+    """Read floating-car data and crop them to a window.
 
     Parameters
     ----------
     path
         ``.xml``, ``.xml.gz``, ``.csv`` (separated by semicolons or commas) or ``.parquet``, as
-        ``sumo --fcd-output`` writes them; or ``.nc``, a `recording`, which is not cropped.
+        ``sumo --fcd-output`` writes them; or ``.nc``, a `Recording`, which is not cropped.
     extent_m
-        West, south, east, north in the file's coordinates: what never enters is dropped, and each vehicle is
-        kept from its first to its last sample inside. [m]
+        West, south, east, north in the file's coordinates. The traffic has each vehicle from its first to its
+        last sample inside. [m]
     start_s
-        The file's time that becomes time zero; its first time by default. [s]
+        Time of the file that becomes time zero; its first time by default. [s]
     returning
-        Whether a vehicle that vanishes and comes back (a teleport of SUMO's) comes back as another one; else
-        it is gone for good.
+        True: a vehicle that disappears and comes back (a teleport of SUMO's) comes back as another one.
+        False: it does not come back.
 
     Returns
     -------
-    Traffic in the file's coordinates, vehicles in order of first appearance, then of their id; and what did
-    not fit.
+    Traffic in the file's coordinates, vehicles in order of first appearance, then of their id; and the
+    changes made.
 
     Raises
     ------
@@ -124,13 +125,16 @@ def read_fcd(
     if not road.any() and len(table):
         raise ValueError(f"`{path.name}` must hold road vehicles, got none among {len(table)} rows")
     table = table.loc[road]
-    time, x, y, angle = (
-        table[name].to_numpy(dtype=float)
-        for name in ("timestep_time", "vehicle_x", "vehicle_y", "vehicle_angle")
-    )
-    _check_rows(path, time, table["vehicle_id"])
+    time, x, y, angle = (table[name].to_numpy(dtype=float) for name in _NUMBERS)
+    for what, bad in (("a time", ~np.isfinite(time)), ("a vehicle", table["vehicle_id"].isna().to_numpy())):
+        if bad.any():
+            first = int(table.index[np.flatnonzero(bad)[0]]) + 1
+            raise ValueError(
+                f"`{path.name}` must give each row {what}, got none in {int(bad.sum())} of {bad.size} rows, "
+                f"first in data row {first} (correct it, or delete it)"
+            )
     for name, values in (("x", x), ("y", y), ("angle", angle)):
-        bad = ~(np.abs(values) < _FURTHEST_M)
+        bad = ~(np.abs(values) < _MAX_COORDINATE_M)
         if bad.any():
             raise ValueError(
                 f"`{path.name}` must give finite {name} in metres and degrees, "
@@ -138,56 +142,54 @@ def read_fcd(
             )
     if clock.size < 2:
         raise ValueError(f"`{path.name}` must hold at least two time steps, got {clock.size}")
-    if np.ptp(clock) > _LONGEST_S:
+    if np.ptp(clock) > _MAX_DURATION_S:
         raise ValueError(
-            f"`{path.name}` must span at most {_LONGEST_S:g} s, got {clock[0]:g} to {clock[-1]:g} s"
+            f"`{path.name}` must span at most {_MAX_DURATION_S:g} s, got {clock[0]:g} to {clock[-1]:g} s"
         )
     start_s = float(clock[0]) if start_s is None else start_s
     step_s = float(np.round(np.median(np.diff(clock)), 6))
-    step = _on_clock(path, time, start_s, step_s)
+    position = (time - start_s) / step_s
+    late = np.abs(position - np.round(position)) > _MAX_CLOCK_ERROR
+    if late.any():
+        raise ValueError(
+            f"`{path.name}` must be sampled every {step_s:g} s, as most of it is, got the time "
+            f"{time[late][0]:g} s in {int(late.sum())} of {late.size} rows"
+        )
+    step = np.round(position).astype(int)
     names, vehicle = np.unique(table["vehicle_id"].to_numpy(dtype=str), return_inverse=True)
-    stretch = _stretches(path, vehicle, step, time, names)
-    whole = vehicle
+    whole, stretch = vehicle, _number_stretches(path, vehicle, step, time, names)
     if returning:
         vehicle = stretch
-    kept, enters = _kept(step, vehicle, int(vehicle.max()) + 1, x, y, extent_m)
-    present, starts = np.unique(vehicle[kept], return_index=True)
+    rows, enters = _crop(step, vehicle, x, y, extent_m)
+    present, starts = np.unique(vehicle[rows], return_index=True)
     ranked = present[np.argsort(starts)]
-    count = np.bincount(vehicle[kept], minlength=len(enters))[ranked]
-    kinds = table["vehicle_type"].to_numpy(dtype=str)[kept[np.cumsum(count) - count]]
-    number = {kind: k for k, kind in enumerate(MODELS)}
+    count = np.bincount(vehicle[rows], minlength=len(enters))[ranked]
+    kinds = table["vehicle_type"].to_numpy(dtype=str)[rows[np.cumsum(count) - count]]
     traffic = Traffic(
         step_s=step_s,
         steps=int(np.round((clock[-1] - start_s) / step_s)) + 1,
         first=enters[ranked],
         count=count,
-        model=np.array([number[model_of(kind)] for kind in kinds], dtype=int),
-        bumper_east=x[kept],
-        bumper_north=y[kept],
-        angle=np.radians(angle[kept]),
+        model=np.array([VEHICLE_CLASSES.index(model_of(kind)) for kind in kinds], dtype=int),
+        bumper_east=x[rows],
+        bumper_north=y[rows],
+        angle=np.radians(angle[rows]),
     )
-    guessed = Counter(str(kind) for kind in kinds if kind not in MODELS)
-    returned = len(present) - len(np.unique(whole[kept]))
+    guessed = Counter(str(kind) for kind in kinds if kind not in VEHICLE_CLASSES)
+    returned = len(present) - len(np.unique(whole[rows]))
     return traffic, Oddities(dict(guessed), dict(Counter(map(str, others))), returned)
 
 
 def fcd_table(traffic: Traffic) -> pd.DataFrame:
-    """Traffic as rows of floating-car data, in order of time, as `read_fcd` reads them back.
-
-    Parameters
-    ----------
-    traffic
-        In the coordinates the rows shall have; they are rounded to 1 mm and 10⁻⁴ degrees.
-    """
+    """Table of floating-car data for `read_fcd`, in order of time, rounded to 1 mm and 10⁻⁴ degrees."""
     vehicle = np.repeat(np.arange(traffic.count.size), traffic.count)
     starts = np.cumsum(traffic.count) - traffic.count
     step = np.arange(vehicle.size) - starts[vehicle] + traffic.first[vehicle]
-    names = np.array(list(MODELS))
     table = pd.DataFrame(
         {
             "timestep_time": np.round(step * traffic.step_s, 6),
             "vehicle_id": np.char.add("v", vehicle.astype(str)),
-            "vehicle_type": names[traffic.model[vehicle]],
+            "vehicle_type": np.array(VEHICLE_CLASSES)[traffic.model[vehicle]],
             "vehicle_x": np.round(traffic.bumper_east, 3),
             "vehicle_y": np.round(traffic.bumper_north, 3),
             "vehicle_angle": np.round(np.degrees(traffic.angle) % 360.0, 4),
@@ -197,39 +199,15 @@ def fcd_table(traffic: Traffic) -> pd.DataFrame:
 
 
 def model_of(vehicle_type: str) -> str:
-    """Name of the model a vehicle type is shown as: its own, what its name suggests, or a car."""
-    if vehicle_type in MODELS:
+    """Name of the model for a vehicle type: its own, the one its name suggests, or a car."""
+    if vehicle_type in VEHICLE_CLASSES:
         return vehicle_type
     name = vehicle_type.lower()
     return next((model for model, words in _WORDS if any(w in name for w in words)), "car")
 
 
-def _check_rows(path: Path, time: Array, vehicle_id: pd.Series) -> None:
-    """Refuse rows that belong to no time or no vehicle: left out, they would cut a drive short."""
-    for what, bad in (("a time", ~np.isfinite(time)), ("a vehicle", vehicle_id.isna().to_numpy())):
-        if bad.any():
-            first = int(vehicle_id.index[np.flatnonzero(bad)[0]]) + 1
-            raise ValueError(
-                f"`{path.name}` must give each row {what}, got none in {int(bad.sum())} of {bad.size} rows, "
-                f"first in data row {first} (mend it, or leave it out)"
-            )
-
-
-def _on_clock(path: Path, time: Array, start_s: float, step_s: float) -> Array:
-    """Number of the time step of each row, from the file's even clock."""
-    position = (time - start_s) / step_s
-    step = np.round(position)
-    late = np.abs(position - step) > _OFF_CLOCK
-    if late.any():
-        raise ValueError(
-            f"`{path.name}` must be sampled every {step_s:g} s, as most of it is, got the time "
-            f"{time[late][0]:g} s in {int(late.sum())} of {late.size} rows"
-        )
-    return step.astype(int)
-
-
-def _stretches(path: Path, vehicle: Array, step: Array, time: Array, names: Array) -> Array:
-    """Number of each row's unbroken stretch of time steps, counted vehicle after vehicle."""
+def _number_stretches(path: Path, vehicle: Array, step: Array, time: Array, names: Array) -> Array:
+    """Number each row's unbroken stretch of time steps, vehicle after vehicle."""
     order = np.lexsort((step, vehicle))
     same, ahead = np.diff(vehicle[order]) == 0, np.diff(step[order])
     twice = np.flatnonzero(same & (ahead == 0))
@@ -244,32 +222,29 @@ def _stretches(path: Path, vehicle: Array, step: Array, time: Array, names: Arra
     return stretch
 
 
-def _kept(
-    step: Array, vehicle: Array, vehicles: int, x: Array, y: Array, extent_m: tuple[float, ...]
+def _crop(
+    step: Array, vehicle: Array, x: Array, y: Array, extent_m: tuple[float, ...]
 ) -> tuple[Array, Array]:
-    """Rows that are kept, vehicle after vehicle in order of time, and the step each vehicle enters at."""
+    """Rows in the window, vehicle after vehicle in order of time, and the step each vehicle enters at."""
+    vehicles = int(vehicle.max()) + 1
     west, south, east, north = extent_m
     inside = (step >= 0) & (x >= west) & (x <= east) & (y >= south) & (y <= north)
     enters, leaves = np.full(vehicles, np.iinfo(int).max), np.full(vehicles, -1)
     np.minimum.at(enters, vehicle[inside], step[inside])
     np.maximum.at(leaves, vehicle[inside], step[inside])
-    kept = np.flatnonzero((step >= enters[vehicle]) & (step <= leaves[vehicle]))
+    rows = np.flatnonzero((step >= enters[vehicle]) & (step <= leaves[vehicle]))
     # in order of first appearance, then of the file's id; within a vehicle in order of time
-    kept = kept[np.lexsort((step[kept], vehicle[kept], enters[vehicle[kept]]))]
-    _, starts = np.unique(vehicle[kept], return_index=True)
-    within = np.arange(kept.size) - np.repeat(np.sort(starts), np.diff([*np.sort(starts), kept.size]))
-    # of a vehicle that vanished and came back, only the first stretch
-    return kept[step[kept] - enters[vehicle[kept]] == within], enters
+    rows = rows[np.lexsort((step[rows], vehicle[rows], enters[vehicle[rows]]))]
+    _, starts = np.unique(vehicle[rows], return_index=True)
+    within = np.arange(rows.size) - np.repeat(np.sort(starts), np.diff([*np.sort(starts), rows.size]))
+    # only the first stretch of a vehicle that comes back
+    return rows[step[rows] - enters[vehicle[rows]] == within], enters
 
 
 def _read_table(path: Path) -> pd.DataFrame:
+    readers = {".parquet": _read_parquet, ".csv": _read_csv}
     try:
-        if path.suffix == ".parquet":
-            table = _read_parquet(check_file(path, path.name))
-        elif path.suffix == ".csv":
-            table = _read_csv(check_file(path, path.name))
-        else:
-            table = _read_xml(check_file(path, path.name))
+        table = readers.get(path.suffix, _read_xml)(check_file(path, path.name))
     except OSError as error:
         raise ValueError(f"`{path.name}` must be a readable file, got {error.strerror or error}") from error
     missing = [c for c in _COLUMNS if c not in table.columns and c != "vehicle_type"]
@@ -291,7 +266,16 @@ def _read_table(path: Path) -> pd.DataFrame:
 
 def _read_csv(path: Path) -> pd.DataFrame:
     try:
-        separator = _separator_of_all_rows(path)
+        with path.open(encoding="utf-8") as file:
+            head = file.readline()
+            separator = ";" if head.count(";") >= head.count(",") else ","
+            count = head.count(separator)
+            for number, line in enumerate(file, 1):
+                if line.count(separator) > count and '"' not in line:  # pandas would shift the columns
+                    raise ValueError(
+                        f"`{path.name}` must give each row the header's {count + 1} columns, got "
+                        f"{line.count(separator) + 1} in data row {number} (correct it, or delete it)"
+                    )
     except UnicodeDecodeError as error:
         raise ValueError(f"`{path.name}` must be SUMO's floating-car data as CSV, got {error}") from error
     return read_csv(
@@ -299,49 +283,29 @@ def _read_csv(path: Path) -> pd.DataFrame:
         path.name,
         separator=separator,
         types={"vehicle_id": "str", "vehicle_type": "str"},
-        only=_is_ours,
+        only=lambda column: column in _COLUMNS,
         comments=False,
         most_bytes=None,
     )
 
 
-def _separator_of_all_rows(path: Path) -> str:
-    """What separates the columns; a row with more of them than the header would be read shifted."""
-    with path.open(encoding="utf-8") as file:
-        head = file.readline()
-        separator = ";" if head.count(";") >= head.count(",") else ","
-        most = head.count(separator)
-        for number, line in enumerate(file, 1):
-            if line.count(separator) > most and '"' not in line:
-                raise ValueError(
-                    f"`{path.name}` must give each row the header's {most + 1} columns, got "
-                    f"{line.count(separator) + 1} in data row {number} (mend it, or leave it out)"
-                )
-    return separator
-
-
-def _is_ours(column: object) -> bool:
-    return column in _COLUMNS
-
-
 def _read_parquet(path: Path) -> pd.DataFrame:
     try:
         arrow = pyarrow.parquet.read_table(path)
-        arrow.validate(full=True)  # names that are no text would be found by whoever looks at them
+        arrow.validate(full=True)  # also finds names that are not text
         table = arrow.to_pandas()
-    except Exception as error:  # whatever a damaged file makes Arrow say
+    except Exception as error:  # Arrow has many errors for damaged files
         raise ValueError(f"`{path.name}` must be a whole Parquet file, got {error}") from error
     known = {c.removeprefix("vehicle_").removeprefix("timestep_"): c for c in _COLUMNS}
     return table.rename(columns={c: known[c] for c in table.columns if c in known})
 
 
 def _read_xml(path: Path) -> pd.DataFrame:
-    """Rows of an ``fcd-export`` as they stream by: whole files may be larger than memory."""
+    """Read the rows of an ``fcd-export`` as a stream: whole files may be larger than memory."""
     rows: dict[str, list] = {name: [] for name in _COLUMNS}
     now = math.nan
     try:
-        opened = gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb")
-        with opened as file:
+        with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as file:
             events = defusedxml.ElementTree.iterparse(
                 io.BufferedReader(file), events=("start", "end"), forbid_dtd=True
             )
@@ -349,8 +313,8 @@ def _read_xml(path: Path) -> pd.DataFrame:
                 if event == "start" and element.tag == "timestep":
                     now = element.get("time", "nan")
                 elif event == "end" and element.tag == "vehicle":
-                    if len(rows["timestep_time"]) >= _MOST_ROWS:
-                        raise ValueError(f"more than {_MOST_ROWS} rows")
+                    if len(rows["timestep_time"]) >= _MAX_ROWS:
+                        raise ValueError(f"more than {_MAX_ROWS} rows")
                     rows["timestep_time"].append(now)
                     for name in _COLUMNS[1:]:
                         rows[name].append(element.get(name.removeprefix("vehicle_")))

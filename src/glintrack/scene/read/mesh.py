@@ -1,9 +1,8 @@
-"""Reader of triangle meshes made elsewhere: glTF, OBJ, PLY, STL, through trimesh (extra ``mesh``)."""
+"""Read triangle meshes in glTF, OBJ, PLY and STL through trimesh (extra ``mesh``)."""
 
 import logging
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,9 +17,9 @@ from glintrack.io.untrusted import check_file, plain, read_bytes, resolve_path
 from glintrack.scene.objects.geometry import Mesh
 
 _ENDINGS = (".glb", ".gltf", ".obj", ".ply", ".stl")
-_SMALLEST_M, _LARGEST_M, _HIGHEST_M = 20.0, 20e3, 2000.0  # of a scene: smaller and larger are wrong units
-_MOST_FACES = 8_000_000
-_MOST_BYTES = 2_000_000_000
+_MIN_WIDTH_M, _MAX_WIDTH_M, _MAX_HEIGHT_M = 20.0, 20e3, 2000.0  # of a scene: others have wrong units
+_MAX_FACES = 8_000_000
+_MAX_BYTES = 2_000_000_000
 _NAMED = (".bin", ".mtl")
 _UNITS_M = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048, "kilometres": 1000.0}
 
@@ -40,7 +39,7 @@ class NamedMesh:
     name_of
         Index of each face into ``names``.
     flaws
-        What is not as it should be but can be rendered, one sentence each.
+        Flaws that can be rendered, one sentence each.
     """
 
     vertices: Float[Array, "vertex 3"]
@@ -51,12 +50,11 @@ class NamedMesh:
 
     @property
     def extent_m(self) -> Extent:
-        """Least rectangle around it. [m]."""
-        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
-        return Extent(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+        """Smallest extent with all vertices. [m]"""
+        return Extent(*self.vertices[:, :2].min(axis=0).tolist(), *self.vertices[:, :2].max(axis=0).tolist())
 
     def mesh(self, material_of: Mapping[str, str], index: Mapping[str, int]) -> Mesh:
-        """The mesh with the library's materials.
+        """Assign the library's materials.
 
         Parameters
         ----------
@@ -90,12 +88,12 @@ class NamedMesh:
 
 
 def default_up(path: Path) -> str:
-    """Which axis of a mesh points up where nobody says: y for glTF, else z."""
+    """Axis of a mesh that points up by default: y for glTF, else z."""
     return "y" if path.suffix.lower() in (".glb", ".gltf") else "z"
 
 
 def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) -> NamedMesh:
-    """Read a mesh and turn it to ENU.
+    """Read a mesh and transform it to ENU.
 
     Parameters
     ----------
@@ -113,7 +111,7 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
     """
     if path.suffix.lower() not in _ENDINGS:
         raise ValueError(f"`mesh_file` must end in {', '.join(_ENDINGS)}, got {path.name!r}")
-    check_file(path, "mesh_file", _MOST_BYTES)
+    check_file(path, "mesh_file", _MAX_BYTES)
     parts = _parts(path)
     if not parts:
         raise ValueError(f"`mesh_file` must hold triangles, got none in {path.name!r}")
@@ -129,8 +127,8 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
             "`mesh_file` must have finite coordinates, "
             f"got {int(bad.sum())} of {len(vertices)} vertices that are not"
         )
-    if len(faces) > _MOST_FACES:
-        raise ValueError(f"`mesh_file` must have at most {_MOST_FACES} triangles, got {len(faces)}")
+    if len(faces) > _MAX_FACES:
+        raise ValueError(f"`mesh_file` must have at most {_MAX_FACES} triangles, got {len(faces)}")
     if (up or default_up(path)) == "y":
         vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
     vertices = vertices * (unit_m or 1.0)
@@ -143,22 +141,44 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
     flaws = [f"{int(flat.sum())} triangles without area are left out"] if flat.any() else []
     _, joined = np.unique(np.round(vertices, 4), axis=0, return_inverse=True)
     _, first = np.unique(np.sort(joined.ravel()[faces[kept]], axis=1), axis=0, return_index=True)
-    if first.size < kept.size:  # two in one place: which of them a ray meets would be chance
+    if first.size < kept.size:  # a ray would meet either at random
         flaws.append(f"{kept.size - first.size} triangles lie on others: the first of each is kept")
         kept = kept[np.sort(first)]
-    flaws += _edge_flaws(joined.ravel()[faces[kept]])
+    corners = np.sort(joined.ravel()[faces[kept]][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    _, uses = np.unique(corners, axis=0, return_counts=True)
+    if (uses > 2).any():
+        flaws.append(
+            f"{int((uses > 2).sum())} edges join more than two triangles (not manifold): "
+            "each triangle is rendered as a sheet of its own"
+        )
+    if (uses == 1).any():
+        flaws.append(f"{int((uses == 1).sum())} edges are open: surfaces are seen from both sides alike")
     return NamedMesh(vertices, faces[kept], names, name_of[kept], tuple(flaws))
 
 
 def _parts(path: Path) -> list[tuple[str, Array, Array]]:
-    """(name, vertices, faces) of each piece, in the file's own frame."""
+    """List (name, vertices, faces) of each piece, in the file's own frame."""
     trimesh = require_extra("trimesh", "mesh", "read meshes")
+
+    class FolderResolver(trimesh.resolvers.FilePathResolver):
+        """Reads the buffers and materials in the mesh's folder or below, and no pictures."""
+
+        def get(self, name: str) -> bytes:
+            file = resolve_path(path.parent / name)
+            if not file.is_relative_to(resolve_path(path.parent)) or file.suffix.lower() not in _NAMED:
+                raise FileNotFoundError(f"{name}, no {' or '.join(_NAMED)} file in the mesh's folder")
+            return read_bytes(file, "mesh_file", _MAX_BYTES)
+
+    log = logging.getLogger("trimesh.util")  # of all its modules; it logs errors that it recovers from
     try:
-        with _unheard("trimesh.util"):  # the logger of all its modules
-            scene = trimesh.load(path, resolver=_beside(trimesh, path), force="scene", process=False)
-        pieces = [(node, scene.graph[node]) for node in sorted(scene.graph.nodes_geometry)]
+        before, log.disabled = log.disabled, True
+        try:
+            scene = trimesh.load(path, resolver=FolderResolver(str(path)), force="scene", process=False)
+        finally:
+            log.disabled = before
         found = []
-        for node, (matrix, geometry) in pieces:
+        for node in sorted(scene.graph.nodes_geometry):
+            matrix, geometry = scene.graph[node]
             mesh = scene.geometry[geometry]
             if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
                 continue
@@ -170,81 +190,37 @@ def _parts(path: Path) -> list[tuple[str, Array, Array]]:
                 faces = faces[:, ::-1]
             own = getattr(getattr(mesh.visual, "material", None), "name", None)
             found.append((str(own or geometry or node), vertices, faces))
-    except Exception as error:  # whatever a damaged file makes a dozen parsers say
+    except Exception as error:  # a dozen parsers have many errors for damaged files
         raise ValueError(
             f"`mesh_file` must be a whole mesh, got {path.name!r}: {plain(error, 200)}".split("\n")[0]
         ) from error
     return found
 
 
-@contextmanager
-def _unheard(name: str) -> Iterator[None]:
-    """Without a library's log, which tells tracebacks of what it then reads in another way."""
-    log = logging.getLogger(name)
-    before, log.disabled = log.disabled, True
-    try:
-        yield
-    finally:
-        log.disabled = before
-
-
-def _beside(trimesh, mesh: Path):
-    """What reads the files that a mesh names: buffers and materials in its folder or below, no pictures."""
-
-    class FilesBesideMesh(trimesh.resolvers.FilePathResolver):
-        def get(self, name: str) -> bytes:
-            path = resolve_path(mesh.parent / name)
-            if not path.is_relative_to(resolve_path(mesh.parent)) or path.suffix.lower() not in _NAMED:
-                raise FileNotFoundError(f"{name}, which is no {' or '.join(_NAMED)} file beside the mesh")
-            return read_bytes(path, "mesh_file", _MOST_BYTES)
-
-    return FilesBesideMesh(str(mesh))
-
-
 def _check_size(vertices: Float[Array, "vertex 3"]) -> None:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     wide, tall = float(max(high[0] - low[0], high[1] - low[1])), float(high[2] - low[2])
     far = float(np.abs(np.r_[low[:2], high[:2]]).max())
-    if not _SMALLEST_M <= wide <= _LARGEST_M or tall > _HIGHEST_M:
+    if not _MIN_WIDTH_M <= wide <= _MAX_WIDTH_M or tall > _MAX_HEIGHT_M:
         fitting = [
             f"{unit_m:g} for {name}" for name, unit_m in _UNITS_M.items() if 100 <= wide * unit_m <= 3000
         ]
         remedy = f"set mesh_unit_m, perhaps {' or '.join(fitting)}" if fitting else "set mesh_unit_m"
         raise ValueError(
-            f"`mesh_file` must be {_SMALLEST_M:g} to {_LARGEST_M:g} m wide and at most {_HIGHEST_M:g} m "
-            f"tall, got {wide:.4g} m and {tall:.4g} m ({remedy})"
+            f"`mesh_file` must be {_MIN_WIDTH_M:g} to {_MAX_WIDTH_M:g} m wide and at most "
+            f"{_MAX_HEIGHT_M:g} m tall, got {wide:.4g} m and {tall:.4g} m ({remedy})"
         )
-    if far > 2 * _LARGEST_M:
+    if far > 2 * _MAX_WIDTH_M:
         raise ValueError(
             f"`mesh_file` must lie about its origin, got coordinates up to {far:.6g} m "
             "(move it, and say where it lies by crs and origin_m)"
         )
 
 
-def _edge_flaws(faces: Int[Array, "face 3"]) -> list[str]:
-    """What edges of joined vertices say: open ones let light through, those of three faces have no side."""
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    _, uses = np.unique(edges, axis=0, return_counts=True)
-    flaws = []
-    if (uses > 2).any():
-        flaws.append(
-            f"{int((uses > 2).sum())} edges join more than two triangles (not manifold): "
-            "each triangle is rendered as a sheet of its own"
-        )
-    if (uses == 1).any():
-        flaws.append(f"{int((uses == 1).sum())} edges are open: surfaces are seen from both sides alike")
-    return flaws
-
-
 def ground_under(mesh: NamedMesh, x: Float[Array, "x"], y: Float[Array, "y"]) -> Float[Array, "y x"]:
     """Height of the lowest upward surface over each point of a grid; NaN where there is none. [m]
 
-    Parameters
-    ----------
-    mesh
-        In ENU.
-    x, y
-        Eastings rising, northings falling, evenly spaced. [m]
+    The eastings rise and the northings fall in even steps.
     """
     height = np.full((y.size, x.size), np.nan)
     corners = mesh.vertices[mesh.faces]

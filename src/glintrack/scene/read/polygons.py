@@ -1,9 +1,9 @@
 """Read buildings and ground: SUMO's polygons (``.poly.xml``, from polyconvert) and OpenStreetMap extracts.
 
-A building is known by its type (``building…``), its height by the attribute ``height`` or OpenStreetMap's
-``building:levels``. Courtyards of multipolygons come as buildings of their own; a ring inside another is
-therefore cut out of it, and one inside a courtyard stands again. Extracts are read through SUMO's netconvert
-and polyconvert (extra ``traffic``).
+A building has a type ``building…``, and its height as the attribute ``height`` or as OpenStreetMap's
+``building:levels``. polyconvert writes courtyards of multipolygons as buildings: a ring inside another is a
+courtyard, and a ring inside a courtyard is a building. SUMO's netconvert and polyconvert (extra ``traffic``)
+convert extracts.
 """
 
 import re
@@ -24,37 +24,28 @@ from glintrack.scene.objects.surfaces import RoadNetwork
 from glintrack.scene.read.sumo import NetLocation, call_sumo, read_sumo_net, read_xml, shape_points, sumo_home
 
 STOREY_M, PLINTH_M = 2.9, 0.4
-_LEAST_FOOTPRINT_M2 = 8.0
+_MIN_FOOTPRINT_M2 = 8.0
 _FOOT_M = 0.3048
 _HEIGHT = re.compile(r"^\s*(\d+(?:\.\d+)?)\s*(m|ft|')?\s*$")
-_HIGHEST_M = 900.0
-# words in a polygon's type -> what lies there; the first that fits
+_MAX_HEIGHT_M = 900.0
+# kind of ground, and words in a polygon's type; the first match counts
 _GROUNDS = (
     ("water", ("natural.water", "waterway", "landuse.basin", "landuse.reservoir", "swimming_pool")),
     ("forest", ("landuse.forest", "natural.wood")),
     ("parking", ("amenity.parking",)),
     ("soil", ("natural.sand", "natural.beach", "landuse.farmland", "landuse.construction", "landuse.quarry")),
     ("dry", ("natural.scrub", "natural.heath", "landuse.meadow", "landuse.brownfield")),
-    (
-        "lawn",
-        (
-            "landuse.grass",
-            "leisure.park",
-            "leisure.garden",
-            "leisure.pitch",
-            "landuse.cemetery",
-            "landuse.village",
-        ),
-    ),
+    ("lawn", tuple(f"leisure.{name}" for name in ("park", "garden", "pitch"))),
+    ("lawn", tuple(f"landuse.{name}" for name in ("grass", "cemetery", "village"))),
 )
-_TOGETHER = 256  # shapes looked up at once
-_MOST_NEAR, _FEW_NEAR = 50, 100_000  # boxes that touch, of each building on average; of any number of them
+_CHUNK = 256  # shapes of one query
+_MAX_MEAN_NEAR, _MAX_NEAR = 50, 100_000  # touching boxes per building on average, and in a small file
 _NOT_GROUND = ("bicycle_parking", "parking_entrance", "parking_space")
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """A building's outline, and its height if that is known. [m]."""
+    """A building's outline, and its height if known. [m]"""
 
     shape: Polygon
     height_m: float | None
@@ -62,18 +53,18 @@ class Footprint:
 
 @dataclass(frozen=True)
 class Polygons:
-    """What a file of polygons says.
+    """Buildings and grounds of a file of polygons.
 
     Parameters
     ----------
     footprints
-        Of buildings, courtyards cut out.
+        Buildings without their courtyards.
     grounds
         (kind, shape) with kinds ``water``, ``forest``, ``parking``, ``soil``, ``dry``, ``lawn``.
     courtyards
-        How many rings were cut out.
+        Number of courtyards.
     skipped
-        How many polygons were of another kind, too small, or no area at all.
+        Number of polygons of other kinds, too small, or without area.
     """
 
     footprints: tuple[Footprint, ...] = ()
@@ -100,14 +91,14 @@ def read_polygons(path: Path) -> Polygons:
         kind = _kind(element.get("type", ""))
         points = shape_points(path, element.get("shape", ""))
         shape = shapely.make_valid(Polygon(points)) if len(points) > 3 else Polygon()
-        parts = [p for p in polygons(shape) if p.area > _LEAST_FOOTPRINT_M2]
+        parts = [p for p in polygons(shape) if p.area > _MIN_FOOTPRINT_M2]
         if kind is None or not parts:
             skipped += 1
         elif kind == "building":
             buildings += [Footprint(part, _height(element)) for part in parts]
         else:
             grounds += [(kind, part) for part in parts]
-    whole, courtyards = _without_courtyards(buildings, path.name)
+    whole, courtyards = _cut_courtyards(buildings, path.name)
     return Polygons(tuple(whole), tuple(grounds), courtyards, skipped)
 
 
@@ -125,26 +116,22 @@ def _height(element: Element) -> float | None:
     given = _HEIGHT.match(element.get("height") or tags.get("height", ""))
     if given:
         height = float(given[1]) * (_FOOT_M if given[2] in ("ft", "'") else 1.0)
-        return height if 0 < height <= _HIGHEST_M else None
+        return height if 0 < height <= _MAX_HEIGHT_M else None
     levels = _HEIGHT.match(tags.get("building:levels", ""))
-    if levels and 0 < float(levels[1]) * STOREY_M <= _HIGHEST_M:
+    if levels and 0 < float(levels[1]) * STOREY_M <= _MAX_HEIGHT_M:
         return float(levels[1]) * STOREY_M + PLINTH_M
     return None
 
 
-def _without_courtyards(buildings: list[Footprint], name: str) -> tuple[list[Footprint], int]:
-    """Buildings with the rings inside them cut out; rings at odd depth are courtyards, not buildings."""
-    if not buildings:
-        return [], 0
-    shapes = np.array([b.shape for b in buildings])
+def _cut_courtyards(buildings: list[Footprint], name: str) -> tuple[list[Footprint], int]:
+    """Cut rings at odd depth, which are courtyards, out of the buildings; and count them."""
+    shapes = np.array([b.shape for b in buildings], dtype=object)
     tree = shapely.STRtree(shapes)
     near = 0
-    for k in range(0, len(shapes), _TOGETHER):
-        near += tree.query(shapes[k : k + _TOGETHER]).shape[1]
-        if near > _MOST_NEAR * len(shapes) + _FEW_NEAR:
-            raise ValueError(
-                f"`{name}` must hold buildings beside each other, got {len(shapes)} over each other"
-            )
+    for k in range(0, len(shapes), _CHUNK):
+        near += tree.query(shapes[k : k + _CHUNK]).shape[1]
+        if near > _MAX_MEAN_NEAR * len(shapes) + _MAX_NEAR:
+            raise ValueError(f"`{name}` must hold buildings side by side, got {len(shapes)} over each other")
     inside, outside = tree.query(shapes, predicate="within")
     true = (inside != outside) & (shapely.area(shapes[inside]) < shapely.area(shapes[outside]))
     depth = np.bincount(inside[true], minlength=len(shapes))
@@ -154,33 +141,27 @@ def _without_courtyards(buildings: list[Footprint], name: str) -> tuple[list[Foo
             within.setdefault(o, []).append(buildings[i].shape)
     found = []
     for k in np.flatnonzero(depth % 2 == 0).tolist():
-        cut = within.get(k)
-        shape = shapes[k].difference(shapely.union_all(cut)) if cut else shapes[k]
+        shape = shapes[k].difference(shapely.union_all(within[k])) if k in within else shapes[k]
         found += [Footprint(part, buildings[k].height_m) for part in polygons(shape)]
     return found, int((depth % 2 == 1).sum())
 
 
 _NETCONVERT = (
-    *(
-        "--geometry.remove",
-        "--ramps.guess",
-        "--junctions.join",
-        "--tls.guess-signals",
-        "--tls.discard-simple",
-    ),
-    *("--tls.join", "--sidewalks.guess", "--crossings.guess", "--junctions.corner-detail", "5"),
+    *("--geometry.remove", "--ramps.guess", "--junctions.join", "--tls.guess-signals"),
+    *("--tls.discard-simple", "--tls.join", "--sidewalks.guess", "--crossings.guess"),
+    *("--junctions.corner-detail", "5"),
 )
 
 
 def read_osm(path: Path, net_path: Path) -> tuple[RoadNetwork, NetLocation, Polygons]:
-    """Streets, buildings and grounds of an extract.
+    """Read streets, buildings and grounds of an extract.
 
     Parameters
     ----------
     path
         ``.osm`` or ``.osm.xml``, plain or gzipped.
     net_path
-        Where to leave the SUMO network, for the traffic.
+        Path for the SUMO network, for the traffic.
 
     Raises
     ------
@@ -197,7 +178,7 @@ def read_osm(path: Path, net_path: Path) -> tuple[RoadNetwork, NetLocation, Poly
     types = ",".join(str(typemap / f"osmNetconvert{kind}.typ.xml") for kind in ("", "UrbanDe"))
     with tempfile.TemporaryDirectory(prefix="glintrack-osm-") as scratch:
         folder = Path(scratch)
-        (folder / "m.osm").write_bytes(_in_order(root) or read_bytes(path, path.name))
+        (folder / "m.osm").write_bytes(_sort_elements(root) or read_bytes(path, path.name))
         netconvert = [str(home / "bin" / "netconvert"), "--osm-files", "m.osm", "-o", "m.net.xml"]
         call_sumo(home, folder, [*netconvert, "--type-files", types, *_NETCONVERT])
         polyconvert = [str(home / "bin" / "polyconvert"), "-n", "m.net.xml", "--osm-files", "m.osm"]
@@ -211,11 +192,8 @@ def read_osm(path: Path, net_path: Path) -> tuple[RoadNetwork, NetLocation, Poly
     return network, location, found
 
 
-def _in_order(root: Element) -> bytes | None:
-    """The extract with nodes first, then ways, then relations; None if they come so.
-
-    SUMO stops to look for nodes and ways at the first relation, and drops those after it without a word.
-    """
+def _sort_elements(root: Element) -> bytes | None:
+    """Sort nodes before ways before relations, because SUMO ignores others; None if they are in order."""
     kinds = {"node": 0, "way": 1, "relation": 2}
     found = [kinds.get(element.tag, -1) for element in root]
     if found == sorted(found):

@@ -1,7 +1,7 @@
-"""Read SUMO's networks, and run SUMO's own programs, headless, with the result in the user's cache.
+"""Read SUMO's networks, and run SUMO's programs with the result in the user's cache.
 
-The installed ``eclipse-sumo`` wheel (extra ``traffic``) brings netconvert, randomTrips and sumo; nothing of
-it is copied into glintrack.
+The installed ``eclipse-sumo`` wheel (extra ``traffic``) has netconvert, randomTrips and sumo; nothing of it
+is copied into glintrack.
 """
 
 import importlib.metadata
@@ -24,15 +24,15 @@ from jaxtyping import Float
 
 from glintrack.core.arrays import Array
 from glintrack.core.installation import MissingExtraError, missing_extra
-from glintrack.io.atomic import content_hash
+from glintrack.io.atomic import content_hash, write_bytes
 from glintrack.io.untrusted import MAX_COORDINATE_M, read_bytes
 from glintrack.scene.objects.surfaces import Lane, LaneKind, RoadNetwork
 from glintrack.scene.read.fcd import read_fcd
-from glintrack.scene.traffic import FORMAT, Recording, Traffic, read_recording, write_recording
-from glintrack.scene.vehicles import MODELS
+from glintrack.scene.traffic import FORMAT, Recording, read_recording, write_recording
+from glintrack.scene.vehicles import load_vehicles
 
-_LONGEST_PHASE_S = 600.0
-_WIDEST_M = 100.0  # of a lane; walking areas are outlines
+_MAX_PHASE_S = 600.0
+_MAX_LANE_WIDTH_M = 100.0  # walking areas are outlines
 DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's own default
 _MOTOR = frozenset({"passenger", "delivery", "bus", "taxi", "private", "truck", "coach"})
 _RAIL = frozenset({"tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway", "cable_car"})
@@ -40,7 +40,7 @@ _RAIL = frozenset({"tram", "rail", "rail_urban", "rail_electric", "rail_fast", "
 
 @dataclass(frozen=True)
 class NetLocation:
-    """Where a network lies.
+    """Position of a network.
 
     Parameters
     ----------
@@ -90,20 +90,29 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
         and len(junction.get("shape", "").split()) > 2
         and motor_lanes.intersection(junction.get("incLanes", "").split())
     )
-    return RoadNetwork(lanes, junctions), _location(path, root)
+    location = root.find("location")
+    if location is None:
+        return RoadNetwork(lanes, junctions), NetLocation()
+    offsets = shape_points(path, location.get("netOffset", "0,0"))
+    if len(offsets) != 1:
+        raise ValueError(f"`{path.name}` must give one netOffset, got {location.get('netOffset')!r:.60}")
+    east, north = offsets[0].tolist()
+    projection = location.get("projParameter", "!").strip()
+    known = projection if projection not in ("!", "-", ".", "") else None
+    return RoadNetwork(lanes, junctions), NetLocation((east, north), known)
 
 
-def standing_signals(path: Path) -> int:
-    """How many signal programs of a network hold one phase for over ten minutes, as if switched by hand."""
+def count_standing_signals(path: Path) -> int:
+    """Count the signal programs of a network with a phase of over ten minutes, as if switched by hand."""
     root = read_xml(path)
     phases = (
         [_number(path, p, "duration", 0.0) for p in logic.iter("phase")] for logic in root.iter("tlLogic")
     )
-    return sum(len(durations) > 1 and max(durations) > _LONGEST_PHASE_S for durations in phases)
+    return sum(len(durations) > 1 and max(durations) > _MAX_PHASE_S for durations in phases)
 
 
 def read_xml(path: Path) -> Element:
-    """Root of an XML file, plain or gzipped; entity definitions and broken files are refused."""
+    """Read an XML file, plain or gzipped, and refuse entity definitions and broken files."""
     content = read_bytes(path, path.name)
     try:
         return defusedxml.ElementTree.fromstring(content, forbid_dtd=True)
@@ -115,20 +124,6 @@ def read_xml(path: Path) -> Element:
         raise ValueError(f"`{path.name}` must be whole, well-formed XML, got {error}") from error
 
 
-def _location(path: Path, root: Element) -> NetLocation:
-    location = root.find("location")
-    if location is None:
-        return NetLocation()
-    offsets = shape_points(path, location.get("netOffset", "0,0"))
-    if len(offsets) != 1:
-        raise ValueError(f"`{path.name}` must give one netOffset, got {location.get('netOffset')!r:.60}")
-    offset = offsets[0]
-    projection = location.get("projParameter", "!").strip()
-    return NetLocation(
-        (float(offset[0]), float(offset[1])), projection if projection not in ("!", "-", ".", "") else None
-    )
-
-
 def _lanes(path: Path, edge: Element, signalled: bool) -> list[Lane]:
     lanes = []
     for element in edge.iter("lane"):
@@ -137,10 +132,10 @@ def _lanes(path: Path, edge: Element, signalled: bool) -> list[Lane]:
         if kind is None or len(points) < (3 if kind == "walking_area" else 2):
             continue
         width_m = _number(path, element, "width", DEFAULT_LANE_WIDTH_M)
-        if not 0 < width_m <= _WIDEST_M:
+        if not 0 < width_m <= _MAX_LANE_WIDTH_M:
             raise ValueError(
-                f"`{path.name}` must give lanes a width of 0 to {_WIDEST_M:g} m, got {width_m:g} for lane "
-                f"{element.get('id', '')!r}"
+                f"`{path.name}` must give lanes a width of 0 to {_MAX_LANE_WIDTH_M:g} m, got {width_m:g} for "
+                f"lane {element.get('id', '')!r}"
             )
         lanes.append(
             Lane(
@@ -187,7 +182,7 @@ def _kind(edge: Element, lane: Element) -> LaneKind | None:
 
 
 def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
-    """Plan points of a ``shape`` attribute, ``x,y x,y …``. [m]."""
+    """Plan points of a ``shape`` attribute, ``x,y x,y …``. [m]"""
     try:
         points = np.array([[float(v) for v in p.split(",")[:2]] for p in shape.split()]).reshape(-1, 2)
     except ValueError as error:
@@ -201,23 +196,16 @@ def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
 
 WARMUP_S = 300.0  # after which the traffic in a window of the default size is steady
 _DEBIAN_PACKAGES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
-# Model, vClass and share in the traffic: mostly cars, some vans, few lorries and buses. The first mix is that
-# of Braunschweig, whose published commands it follows; all else, the shipped recording too, has the full one.
+# Model, vClass and share in the traffic. The first mix is that of Braunschweig, after its published commands;
+# all other traffic, the shipped recording too, has the full one.
 Mix = tuple[tuple[str, str, float], ...]
 FIRST_MIX: Mix = (
-    ("car", "passenger", 0.62),
-    ("hatch", "passenger", 0.18),
-    ("van", "delivery", 0.10),
-    ("truck", "truck", 0.05),
-    ("bus", "bus", 0.05),
+    *(("car", "passenger", 0.62), ("hatch", "passenger", 0.18), ("van", "delivery", 0.10)),
+    *(("truck", "truck", 0.05), ("bus", "bus", 0.05)),
 )
 FULL_MIX: Mix = (
-    ("car", "passenger", 0.42),
-    ("hatch", "passenger", 0.18),
-    ("suv", "passenger", 0.17),
-    ("van", "delivery", 0.10),
-    ("truck", "truck", 0.05),
-    ("bus", "bus", 0.04),
+    *(("car", "passenger", 0.42), ("hatch", "passenger", 0.18), ("suv", "passenger", 0.17)),
+    *(("van", "delivery", 0.10), ("truck", "truck", 0.05), ("bus", "bus", 0.04)),
     ("motorcycle", "motorcycle", 0.04),
 )
 
@@ -229,19 +217,19 @@ class SumoRun:
     Parameters
     ----------
     inputs
-        Files netconvert reads; they are copied into a scratch folder under their own names.
+        Files for netconvert, copied into a scratch folder under their own names.
     netconvert
-        Arguments of netconvert; the output is added.
+        Arguments of netconvert without the output.
     extent_m
-        West, south, east, north in network coordinates; the traffic is kept inside. [m]
+        West, south, east, north of the recorded traffic in network coordinates. [m]
     origin_m
         Network coordinates that become (0, 0). [m]
     duration_s
         Length of the recording. [s]
     insertion_period_s
-        One vehicle departs each such interval. [s]
+        Interval between departures. [s]
     seed
-        Of the trips.
+        Seed of the trips.
     warmup_s
         SUMO time before the recording starts. [s]
     mix
@@ -281,13 +269,15 @@ def sumo_version() -> str:
         return "unknown"
 
 
-def recorded(run: SumoRun) -> Recording:
-    """The recording of a run, from the cache if it is there and whole, else simulated and cached.
+def load_or_simulate(run: SumoRun) -> Recording:
+    """Load the recording of a run from the cache, or simulate and cache it.
 
-    The file's name carries the run's content hash and the file's own digest; a file that does not match its
-    name is rebuilt. It is written beside and renamed, so that no half-written file can be found.
+    The file's name has the content hash of the run and the digest of the file; a file that does not match its
+    name is rebuilt.
     """
-    key = _content_hash(run)
+    settings = {name: value for name, value in vars(run).items() if name != "inputs"}
+    said = repr((FORMAT, sumo_version(), vehicle_types_xml(run.mix), sorted(settings.items())))
+    key = content_hash([*(path.read_bytes() for path in run.inputs), said], 24)
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "glintrack" / "traffic"
     for path in sorted(folder.glob(f"{key}-*.nc")):
         if path.stem.endswith(content_hash(path.read_bytes(), 16)):
@@ -297,26 +287,17 @@ def recorded(run: SumoRun) -> Recording:
         fresh = Path(scratch) / "recording.nc"
         attributes = {"title": "glintrack traffic cache", "source": "Eclipse SUMO"}
         write_recording(fresh, simulate_traffic(run), attributes)
+        content = fresh.read_bytes()
         try:
-            _keep(folder, key, fresh)
-        except OSError as error:  # a read-only home costs the next run its cache, not this one its result
+            folder.mkdir(parents=True, exist_ok=True)
+            write_bytes(folder / f"{key}-{content_hash(content, 16)}.nc", content)
+        except OSError as error:  # of a read-only home
             warnings.warn(f"traffic could not be cached in {folder}: {error}", stacklevel=2)
-        return read_recording(fresh)  # read back, so that a first run has the millimetres of every later one
-
-
-def _keep(folder: Path, key: str, fresh: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{key}-", delete=False) as beside:
-        path = Path(beside.name)
-    try:
-        shutil.copyfile(fresh, path)
-        path.replace(folder / f"{key}-{content_hash(path.read_bytes(), 16)}.nc")
-    finally:
-        path.unlink(missing_ok=True)
+        return read_recording(fresh)  # rounded to millimetres, as in later runs
 
 
 def simulate_traffic(run: SumoRun) -> Recording:
-    """Build the network, draw trips, run SUMO and read what came out, in ENU about ``run.origin_m``."""
+    """Build the network, draw trips, run SUMO and read its output, in ENU about ``run.origin_m``."""
     home = sumo_home()
     end_s = run.warmup_s + run.duration_s
     with tempfile.TemporaryDirectory(prefix="glintrack-sumo-") as scratch:
@@ -325,50 +306,37 @@ def simulate_traffic(run: SumoRun) -> Recording:
             shutil.copyfile(path, folder / path.name)
         (folder / "vtypes.add.xml").write_text(vehicle_types_xml(run.mix), encoding="utf-8")
         call_sumo(home, folder, [str(home / "bin" / "netconvert"), *run.netconvert, "-o", "city.net.xml"])
-        trips = [sys.executable, str(home / "tools" / "randomTrips.py"), "-n", "city.net.xml"]
-        trips += ["-o", "trips.xml", "-r", "routes.xml", "-b", "0", "-e", f"{end_s:g}"]
-        trips += ["-p", f"{run.insertion_period_s:g}", "--fringe-factor", "5", "--min-distance", "200"]
-        trips += ["--seed", str(run.seed), "--edge-permission", "passenger", "--validate"]
-        trips += ["--additional-files", "vtypes.add.xml"]
-        trips += ["--trip-attributes", 'type="mix" departLane="best" departSpeed="max"']
-        call_sumo(home, folder, trips)
-        sumo = [
-            str(home / "bin" / "sumo"),
-            "-n",
-            "city.net.xml",
-            "-r",
-            "routes.xml",
-            "--end",
-            f"{end_s + 0.1:g}",
-        ]
-        sumo += ["--step-length", "0.1", "--lanechange.duration", "2.5", "--time-to-teleport", "300"]
-        sumo += [
-            "--fcd-output",
-            "fcd.csv",
-            "--device.fcd.begin",
-            f"{run.warmup_s:g}",
-            "--device.fcd.period",
-            "0.1",
-        ]
-        sumo += ["--precision", "3", "--no-step-log", "--seed", str(run.seed)]
-        call_sumo(home, folder, sumo)
+        trips = (
+            f"-n city.net.xml -o trips.xml -r routes.xml -b 0 -e {end_s:g} -p {run.insertion_period_s:g} "
+            f"--fringe-factor 5 --min-distance 200 --seed {run.seed} --edge-permission passenger --validate "
+            "--additional-files vtypes.add.xml --trip-attributes"
+        )
+        attributes = 'type="mix" departLane="best" departSpeed="max"'
+        random_trips = str(home / "tools" / "randomTrips.py")
+        call_sumo(home, folder, [sys.executable, random_trips, *trips.split(), attributes])
+        sumo = (
+            f"-n city.net.xml -r routes.xml --end {end_s + 0.1:g} --step-length 0.1 --precision 3 "
+            "--lanechange.duration 2.5 --time-to-teleport 300 --fcd-output fcd.csv --device.fcd.period 0.1 "
+            f"--device.fcd.begin {run.warmup_s:g} --no-step-log --seed {run.seed}"
+        )
+        call_sumo(home, folder, [str(home / "bin" / "sumo"), *sumo.split()])
         network, _ = read_sumo_net(folder / "city.net.xml")
         with (folder / "fcd.csv").open(encoding="utf-8") as rows:
-            if "vehicle_id" not in rows.readline():  # without a vehicle SUMO names none of its columns
+            if "vehicle_id" not in rows.readline():  # SUMO writes no header without a vehicle
                 raise ValueError(
                     "`scene.traffic_insertion_period_s` must let a vehicle drive while traffic is recorded, "
                     f"got none in {run.duration_s:g} s by {run.insertion_period_s:g} s (choose less)"
                 )
         traffic, _ = read_fcd(folder / "fcd.csv", run.extent_m, run.warmup_s, returning=False)
     east, north = run.origin_m
-    return Recording(network.shifted(-east, -north), shifted(traffic, -east, -north))
+    return Recording(network, traffic).shift(-east, -north)
 
 
 def vehicle_types_xml(mix: Mix = FIRST_MIX) -> str:
-    """SUMO's description of the vehicle mix, with the dimensions of `vehicles.MODELS`."""
+    """SUMO's description of the vehicle mix, with the dimensions of the vehicle models."""
     lines = ['<additional><vTypeDistribution id="mix">']
     for name, vehicle_class, share in mix:
-        design = MODELS[name]
+        design = load_vehicles()[name]
         lines.append(
             f'<vType id="{name}" vClass="{vehicle_class}" length="{design.length_m}" '
             f'width="{design.width_m}" height="{design.height_m}" probability="{share}"/>'
@@ -376,23 +344,15 @@ def vehicle_types_xml(mix: Mix = FIRST_MIX) -> str:
     return "\n".join([*lines, "</vTypeDistribution></additional>"])
 
 
-def shifted(traffic: Traffic, east_m: float, north_m: float) -> Traffic:
-    """The same traffic with its origin moved by the given vector (coordinates are added). [m]"""
-    fields = {name: getattr(traffic, name) for name in traffic.__dataclass_fields__}
-    fields["bumper_east"] = traffic.bumper_east + east_m
-    fields["bumper_north"] = traffic.bumper_north + north_m
-    return Traffic(**fields)
-
-
 def call_sumo(home: Path, folder: Path, command: list[str]) -> None:
-    """Run one of SUMO's programs in a folder; what goes wrong is said in one sentence.
+    """Run one of SUMO's programs in a folder.
 
     Raises
     ------
     MissingExtraError
-        If the program or one of its system libraries is not there.
+        If the program or one of its system libraries is missing.
     ValueError
-        With the program's own last words, if it fails.
+        If the program fails; the message has its last lines.
     """
     environment = {**os.environ, "SUMO_HOME": str(home), "PROJ_LIB": str(home / "data" / "proj")}
     environment.pop("PROJ_DATA", None)  # SUMO's own PROJ reads PROJ_LIB and stumbles over a newer PROJ_DATA
@@ -416,10 +376,3 @@ def call_sumo(home: Path, folder: Path, command: list[str]) -> None:
     raise ValueError(
         f"`{program}` of SUMO must succeed, got exit {done.returncode}: {' '.join(errors[-2:])[:300]}"
     )
-
-
-def _content_hash(run: SumoRun) -> str:
-    contents = [path.read_bytes() for path in run.inputs]
-    settings = {name: value for name, value in vars(run).items() if name != "inputs"}
-    said = repr((FORMAT, sumo_version(), vehicle_types_xml(run.mix), sorted(settings.items())))
-    return content_hash([*contents, said], 24)

@@ -1,95 +1,96 @@
 """The embedded city: a seeded procedural neighbourhood, by default on the shipped street network.
 
-The streets, with their lanes, crossings and signals, are those SUMO drove on when the traffic was recorded
-(``tools/record_embedded_traffic.py``); what stands between them is drawn from the seed. A city of another
-size gets streets drawn from its seed, a grid that swings gently, and its traffic from SUMO.
+SUMO simulated the shipped traffic on the shipped streets, with their lanes, crossings and signals
+(``tools/record_embedded_traffic.py``). The seed determines the buildings and plants between them. A city of
+another size has streets drawn from its seed, a gently winding grid, and its own traffic from SUMO.
 """
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 from shapely.geometry import Point, Polygon
 
-from glintrack.scene.objects.layout import Layout, covered_area
+from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
+from glintrack.scene.objects.layout import Layout, area_with_margin, expand_extent
 from glintrack.scene.objects.surfaces import RoadNetwork, road_areas
-from glintrack.scene.read.sumo import FULL_MIX, SumoRun, recorded
+from glintrack.scene.read.fcd import read_fcd
+from glintrack.scene.read.sumo import FULL_MIX, SumoRun, load_or_simulate
 from glintrack.scene.sources.neighbourhood import Use, neighbourhood, use_by_size
+from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Site, resolve_file
 from glintrack.scene.traffic import Recording, read_recording
 
-# Points inside the blocks of the shipped plan that are not housing; see `street_plan.SHIPPED_PLAN`. [m]
-_SHOPPING, _OFFICES, _PARK = Point(25, -65), Point(195, -15), Point(-225, 135)
-_TOWN = tuple(
-    Point(p) for p in ((25, 88), (-100, -15), (-100, 88), (255, 88), (365, 88), (365, -15), (150, 88))
+# Points inside the blocks of the shipped plan that are not housing; see `SHIPPED_PLAN`. [m]
+_USES: tuple[tuple[Use, tuple[tuple[float, float], ...]], ...] = (
+    ("shopping", ((25, -65),)),
+    ("offices", ((195, -15),)),
+    ("park", ((-225, 135),)),
+    ("town", ((25, 88), (-100, -15), (-100, 88), (255, 88), (365, 88), (365, -15), (150, 88))),
 )
 _SHIPPED_PERIOD_S, _SHIPPED_GRID_M2 = 0.44, 1060.0 * 790.0
 
 
-def embedded_recording() -> Recording:
-    """The shipped street network and traffic."""
+def procedural_site(design: SceneDesign) -> Site:
+    """Streets, traffic and layout rule of a design with city ``embedded``."""
+    shipped = design.size_m == DEFAULT_SIZE_M
+    said: tuple[str, ...] = ()
+    reach = expand_extent(design.extent_m, VEHICLE_MARGIN_M)
+    if design.uses_shipped_traffic:
+        recording = load_shipped_recording()
+    else:
+        recording = _simulate(design, SHIPPED_PLAN if shipped else None, reach)
+    if design.traffic_file:
+        traffic, odd = read_fcd(resolve_file(design.traffic_file), reach)
+        recording, said = replace(recording, traffic=traffic), odd.sentences()
+    fill = partial(fill_streets, recording.network, design.extent_m, shipped=shipped)
+    return Site(recording, ROCHESTER, design.extent_m, fill, assumptions=said)
+
+
+def load_shipped_recording() -> Recording:
+    """Load the shipped street network and traffic."""
     source = resources.files("glintrack") / "data" / "traffic" / "embedded.nc"
     with resources.as_file(source) as path:
         return read_recording(path)
 
 
-def drawn_recording(
-    extent_m: tuple[float, float, float, float],
-    margin_m: float,
-    seed: int,
-    duration_s: float,
-    insertion_period_s: float | None,
-    shipped: bool = False,
+def _simulate(
+    design: SceneDesign, plan: "StreetPlan | None", reach_m: tuple[float, float, float, float]
 ) -> Recording:
-    """Streets drawn from a seed for a window of any size, and SUMO's traffic on them.
-
-    Parameters
-    ----------
-    extent_m
-        West, south, east, north of the window. [m]
-    margin_m
-        Traffic is kept this far beyond it. [m]
-    seed
-        Of the streets and of the trips.
-    duration_s
-        Length of the recording. [s]
-    insertion_period_s
-        One vehicle enters each such interval; by default as many an area as in the shipped recording. [s]
-    shipped
-        Drive on the streets of the shipped recording instead.
-    """
-    west, south, east, north = extent_m
-    if insertion_period_s is None:
-        grid_m2 = (east - west + 2 * NETWORK_MARGIN_M) * (north - south + 2 * NETWORK_MARGIN_M)
-        insertion_period_s = round(max(_SHIPPED_PERIOD_S * _SHIPPED_GRID_M2 / grid_m2, 0.05), 2)
-    rng = np.random.default_rng(seed)
-    plan = SHIPPED_PLAN if shipped else draw_plan(east - west, north - south, rng)
+    """Traffic of SUMO on a street plan, by default one drawn from the seed; as dense as the shipped one."""
+    wide, high = design.size_m
+    period_s = design.traffic_insertion_period_s
+    if period_s is None:
+        grid_m2 = (wide + 2 * NETWORK_MARGIN_M) * (high + 2 * NETWORK_MARGIN_M)
+        period_s = round(max(_SHIPPED_PERIOD_S * _SHIPPED_GRID_M2 / grid_m2, 0.05), 2)
+    plan = plan or draw_plan(wide, high, np.random.default_rng(design.seed))
     with tempfile.TemporaryDirectory(prefix="glintrack-streets-") as scratch:
         paths = Path(scratch) / "city.nod.xml", Path(scratch) / "city.edg.xml"
         for path, text in zip(paths, plan_xml(plan), strict=True):
             path.write_text(text, encoding="utf-8")
-        return recorded(
+        return load_or_simulate(
             SumoRun(
                 inputs=paths,
                 netconvert=("-n", paths[0].name, "-e", paths[1].name, *NETCONVERT),
-                extent_m=(west - margin_m, south - margin_m, east + margin_m, north + margin_m),
+                extent_m=(*reach_m,),
                 origin_m=(0.0, 0.0),
-                duration_s=duration_s,
-                insertion_period_s=insertion_period_s,
-                seed=seed,
+                duration_s=design.traffic_duration_s,
+                insertion_period_s=period_s,
+                seed=design.seed,
                 mix=FULL_MIX,
             )
         )
 
 
-def embedded_layout(
+def fill_streets(
     network: RoadNetwork,
     extent_m: tuple[float, float, float, float],
     rng: np.random.Generator,
     shipped: bool = True,
 ) -> Layout:
-    """Fill the blocks of the street network.
+    """Fill the blocks of a street network.
 
     Parameters
     ----------
@@ -98,23 +99,18 @@ def embedded_layout(
     extent_m
         West, south, east, north of the window. [m]
     rng
-        Draws everything.
+        Source of all random choices.
     shipped
-        The streets are the shipped ones, whose blocks have planned uses; else each has what its size suits.
+        Use the planned uses of the shipped blocks; else each block gets a use by its size.
     """
-    area = covered_area(extent_m)
+    area = area_with_margin(extent_m)
     streets = road_areas(network, area)
-    return neighbourhood(network, streets, area, _planned_use if shipped else use_by_size, rng)
+    return neighbourhood(network, streets, area, _use_by_plan if shipped else use_by_size, rng)
 
 
-def _planned_use(block: Polygon, rng: np.random.Generator) -> Use:
-    if block.contains(_SHOPPING):
-        return "shopping"
-    if block.contains(_OFFICES):
-        return "offices"
-    if block.contains(_PARK):
-        return "park"
-    return "town" if any(block.contains(p) for p in _TOWN) else "housing"
+def _use_by_plan(block: Polygon, rng: np.random.Generator) -> Use:
+    uses: list[Use] = [use for use, at in _USES if any(block.contains(Point(p)) for p in at)]
+    return uses[0] if uses else "housing"
 
 
 NETCONVERT = (
@@ -138,8 +134,8 @@ class StreetPlan:
     arterial_columns, arterial_rows, collector_columns, collector_rows
         Indices of those that are more than residential streets.
     left_out
-        Pieces that are missing, as (``h`` or ``v``, column, row) of their western or southern end: two blocks
-        then make one.
+        Missing pieces, as (``h`` or ``v``, column, row) of their western or southern end: each joins two
+        blocks.
     """
 
     columns: tuple[float, ...]
@@ -151,7 +147,7 @@ class StreetPlan:
     left_out: frozenset[tuple[str, int, int]] = frozenset()
 
     def node(self, column: int, row: int) -> tuple[str, float, float]:
-        """Name and place of a crossing; streets swing gently, so that no two run quite alike."""
+        """Name and position of a crossing; streets wind gently, so that no two are exactly parallel."""
         x, y = self.columns[column], self.rows[row]
         return (
             f"n{column}_{row}",
@@ -173,7 +169,7 @@ SHIPPED_PLAN = StreetPlan(
 
 
 def draw_plan(width_m: float, height_m: float, rng: np.random.Generator) -> StreetPlan:
-    """A plan for a window of any size, west to east and south to north. [m]"""
+    """Draw a plan for a window of any size, west to east and south to north. [m]"""
     columns, rows = (
         _lines(size_m / 2 + NETWORK_MARGIN_M, spacing, rng)
         for size_m, spacing in ((width_m, (100, 130)), (height_m, (92, 115)))
@@ -186,13 +182,11 @@ def draw_plan(width_m: float, height_m: float, rng: np.random.Generator) -> Stre
     left_out = set()
     for c in range(1, len(columns) - 2):
         for r in range(1, len(rows) - 2):
-            axis = "h" if rng.random() < 0.5 else "v"
-            along = r if axis == "h" else c
-            major = (
-                (arterial_rows | collector_rows) if axis == "h" else (arterial_columns | collector_columns)
-            )
-            beside = {(axis, c + i, r + j) for i in (-1, 0, 1) for j in (-1, 0, 1)}
-            if rng.random() < 0.08 and along not in major and not left_out & beside:
+            horizontal = rng.random() < 0.5
+            axis, along = ("h", r) if horizontal else ("v", c)
+            major = arterial_rows | collector_rows if horizontal else arterial_columns | collector_columns
+            near = {(axis, c + i, r + j) for i in (-1, 0, 1) for j in (-1, 0, 1)}
+            if rng.random() < 0.08 and along not in major and not left_out & near:
                 left_out.add((axis, c, r))
     return StreetPlan(
         columns,
@@ -219,14 +213,16 @@ def plan_xml(plan: StreetPlan) -> tuple[str, str]:
             for axis, c2, r2 in (("h", c + 1, r), ("v", c, r + 1)):
                 if c2 >= len(plan.columns) or r2 >= len(plan.rows) or (axis, c, r) in plan.left_out:
                     continue
-                arterial = r in plan.arterial_rows if axis == "h" else c in plan.arterial_columns
-                collector = r in plan.collector_rows if axis == "h" else c in plan.collector_columns
+                if r in plan.arterial_rows if axis == "h" else c in plan.arterial_columns:
+                    street, parking = 'numLanes="2" speed="13.89" type="street.arterial" priority="3"', ""
+                elif r in plan.collector_rows if axis == "h" else c in plan.collector_columns:
+                    street, parking = 'numLanes="1" speed="13.89" type="street.collector" priority="2"', ""
+                else:  # the second lane is for parking only
+                    street = 'numLanes="2" speed="8.33" type="street.residential" priority="1"'
+                    parking = _PARKING_LANE
                 end = plan.node(c2, r2)[0]
                 for a, b in ((name, end), (end, name)):
-                    edges.append(
-                        f'<edge id="{a}-{b}" from="{a}" to="{b}" {_street(arterial, collector)}>'
-                        f"{'' if arterial or collector else _PARKING_LANE}</edge>"
-                    )
+                    edges.append(f'<edge id="{a}-{b}" from="{a}" to="{b}" {street}>{parking}</edge>')
     return "\n".join([*nodes, "</nodes>"]), "\n".join([*edges, "</edges>"])
 
 
@@ -241,12 +237,3 @@ def _every(count: int, step: int, rng: np.random.Generator) -> frozenset[int]:
     """Every few of the inner lines, from a random one on; at least one."""
     first = 1 + int(rng.integers(0, max(min(step, count - 2), 1)))
     return frozenset(range(first, count - 1, step))
-
-
-def _street(arterial: bool, collector: bool) -> str:
-    """Attributes of a street by its rank."""
-    ranks = {(True, False): (2, 13.89, "arterial"), (False, True): (1, 13.89, "collector")}
-    # a residential street's second lane is for parking only
-    lanes, speed, kind = ranks.get((arterial, collector), (2, 8.33, "residential"))
-    priority = 3 if arterial else 2 if collector else 1
-    return f'numLanes="{lanes}" speed="{speed}" type="street.{kind}" priority="{priority}"'

@@ -1,13 +1,12 @@
-"""Rules for what stands along streets and on land where the data do not say.
+"""Rules for lots, parking, trees, yards and buildings where the data do not define them.
 
-Lots, parking, street trees; heights, roofs and walls of buildings, yards and gardens. Heights that are not
-known come from the footprint's area: sheds under 45 m² stand 2.8 m high, halls over 1500 m² 7 to 12 m, all
-else two to four storeys of 2.9 m.
+Unknown heights are drawn by footprint area: sheds under 45 m² are 2.8 m high, halls over 1500 m² 7 to 12 m,
+the rest two to four storeys of 2.9 m.
 """
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +18,7 @@ from shapely.ops import unary_union
 
 from glintrack.core.arrays import Array
 from glintrack.scene.objects.buildings import Building
-from glintrack.scene.objects.geometry import outline, polygons, rectangle_of
+from glintrack.scene.objects.geometry import bounding_rectangle, outline, polygons
 from glintrack.scene.objects.layout import ParkedVehicle, heading_of
 from glintrack.scene.objects.plants import Tree, draw_tree
 from glintrack.scene.objects.surfaces import PAVEMENT_M, GroundPatch, RoadNetwork
@@ -31,17 +30,7 @@ _TREES_APART_M = 6.0
 
 @dataclass(frozen=True)
 class Frontage:
-    """A stretch of a block's edge where something may be built.
-
-    Parameters
-    ----------
-    middle
-        Middle of the stretch, on the block's edge. [m]
-    along, inward
-        Unit vectors along the edge and into the block.
-    width_m
-        Length of the stretch. [m]
-    """
+    """A stretch of a block's edge: its middle, unit vectors along it and into the block, its width. [m]"""
 
     middle: Float[Array, "2"]
     along: Float[Array, "2"]
@@ -49,37 +38,20 @@ class Frontage:
     width_m: float
 
     def point(self, along_m: float, inward_m: float) -> tuple[float, float]:
-        """Plan point by its distance along the edge from the middle, and into the block. [m]."""
+        """Plan point by its distance along the edge from the middle, and into the block. [m]"""
         x, y = self.middle + along_m * self.along + inward_m * self.inward
         return float(x), float(y)
 
     def rectangle(self, start_m: float, stop_m: float, near_m: float, far_m: float) -> Polygon:
-        """Rectangle between two distances along and two into the block. [m]."""
+        """Rectangle between two distances along and two into the block. [m]"""
         corners = ((start_m, near_m), (stop_m, near_m), (stop_m, far_m), (start_m, far_m))
         return Polygon([self.point(*c) for c in corners])
-
-    @property
-    def heading_rad(self) -> float:
-        """Heading into the block, clockwise from north. [rad]."""
-        return heading_of(self.inward)
 
 
 def frontages(
     block: Polygon, lot_m: tuple[float, float], corner_m: float, rng: np.random.Generator
 ) -> list[Frontage]:
-    """Lots along the sides of a block.
-
-    Parameters
-    ----------
-    block
-        Piece of land between streets. [m]
-    lot_m
-        Least and greatest width of a lot. [m]
-    corner_m
-        Left free at each end of a side. [m]
-    rng
-        Draws the widths.
-    """
+    """Lots along the sides of a block, with a range of widths, and free corners. [m]"""
     ring = outline(Polygon(block.exterior), tolerance_m=3.0).exterior
     corners = np.asarray(ring.coords)[:, :2]
     lots = []
@@ -99,7 +71,7 @@ def frontages(
 def scatter(
     free: BaseGeometry, spacing_m: float, count: int, rng: np.random.Generator
 ) -> list[tuple[float, float]]:
-    """At most ``count`` random points in a shape, no two closer than ``spacing_m``. [m]."""
+    """Draw up to ``count`` points in a shape, no two closer than ``spacing_m``. [m]"""
     if free.is_empty:
         return []
     west, south, east, north = free.bounds
@@ -124,17 +96,17 @@ def parking_rows(
     shape
         The car park. [m]
     rng
-        Draws who is there.
+        Source of random choices.
     occupancy
-        Share of the stalls taken, 0 to 1. [1]
+        Share of the occupied stalls, 0 to 1. [1]
     aisles_outside
-        A piece too narrow for an aisle lies between two that are streets of their own: two rows back to back.
+        Put two rows back to back on a piece too narrow for an aisle.
 
     Returns
     -------
     The painted lines, and the parked vehicles.
     """
-    centre, axis, length, width = rectangle_of(shape)
+    centre, axis, length, width = bounding_rectangle(shape)
     across = np.array([-axis[1], axis[0]])
     inside = shape.buffer(-0.3)
     lines, parked = [], []
@@ -149,15 +121,9 @@ def parking_rows(
         for row, facing in rows:
             for k in range(int(length / _STALL_M[0])):
                 start = -length / 2 + k * _STALL_M[0]
-                corners = [
-                    centre + u * axis + v * across
-                    for u, v in (
-                        (start, row),
-                        (start + _STALL_M[0], row),
-                        (start + _STALL_M[0], row + _STALL_M[1]),
-                        (start, row + _STALL_M[1]),
-                    )
-                ]
+                stop, back = start + _STALL_M[0], row + _STALL_M[1]
+                plan = ((start, row), (stop, row), (stop, back), (start, back))
+                corners = [centre + u * axis + v * across for u, v in plan]
                 taken = rng.random() < occupancy
                 nose_in, nudge, model = rng.random() < 0.75, rng.uniform(-0.2, 0.2), int(rng.random() < 0.35)
                 if not inside.contains(Polygon(corners)):
@@ -179,7 +145,8 @@ def kerbside_parking(
     for lane in network.of_kind("parking"):
         line = lane.line
         for d in np.arange(8.0, line.length - 8.0, 6.6):
-            taken, place, model = rng.random() < occupancy, d + rng.uniform(-0.25, 0.25), _parked_model(rng)
+            taken, place = rng.random() < occupancy, d + rng.uniform(-0.25, 0.25)
+            model = int(rng.choice([0, 1, 2], p=[0.62, 0.3, 0.08]))  # cars, hatchbacks, some vans
             here, ahead = (np.array(line.interpolate(place + e).coords[0]) for e in (-0.5, 0.5))
             x, y = (here + ahead) / 2
             if taken and area.contains(Point(x, y)):
@@ -188,22 +155,18 @@ def kerbside_parking(
 
 
 def street_trees(
-    network: RoadNetwork,
-    taken: BaseGeometry,
-    area: BaseGeometry,
-    rng: np.random.Generator,
-    spacing_m: float = 13.0,
+    network: RoadNetwork, taken: BaseGeometry, area: BaseGeometry, rng: np.random.Generator
 ) -> list[Tree]:
     """Trees behind the pavements, where nothing is built."""
     shapely.prepare(taken)
     trees: list[Tree] = []
-    cells: dict[tuple[int, int], list[Tree]] = {}  # trees by squares as wide as they must stand apart
+    cells: dict[tuple[int, int], list[Tree]] = {}  # trees by squares of the least distance
     for lane in network.of_kind("walk"):
         if lane.line.length < 20:
             continue
-        beside = lane.line.offset_curve(-(lane.width_m / 2 + 1.3))
-        for d in np.arange(7.0, beside.length - 7.0, spacing_m):
-            point = beside.interpolate(d + rng.uniform(-2.5, 2.5))
+        row = lane.line.offset_curve(-(lane.width_m / 2 + 1.3))
+        for d in np.arange(7.0, row.length - 7.0, 13.0):
+            point = row.interpolate(d + rng.uniform(-2.5, 2.5))
             tree = draw_tree(point.x, point.y, rng, (6.0, 11.0))
             i, j = int(point.x // _TREES_APART_M), int(point.y // _TREES_APART_M)
             near = [t for di in (-1, 0, 1) for dj in (-1, 0, 1) for t in cells.get((i + di, j + dj), ())]
@@ -214,15 +177,10 @@ def street_trees(
     return trees
 
 
-def _parked_model(rng: np.random.Generator) -> int:
-    """Index into the vehicle models of what is parked: cars, hatchbacks, some vans."""
-    return int(rng.choice([0, 1, 2], p=[0.62, 0.3, 0.08]))
-
-
-def building_by_rule(footprint: Polygon, height_m: float | None, rng: np.random.Generator) -> Building:
-    """Give a footprint a roof and a face, and a height by its area where none is known. [m]."""
-    rectangle = shapely.minimum_rotated_rectangle(footprint)
-    fill, size = footprint.area / rectangle.area, footprint.area
+def _building_by_rule(footprint: Polygon, height_m: float | None, rng: np.random.Generator) -> Building:
+    """Choose a roof, walls and windows for a footprint, and a height by its area where none is known. [m]"""
+    size = footprint.area
+    fill = size / shapely.minimum_rotated_rectangle(footprint).area
     draw, slope = rng.random(5), math.radians(rng.uniform(32, 46))
     if height_m is not None:
         height = height_m
@@ -247,8 +205,24 @@ def building_by_rule(footprint: Polygon, height_m: float | None, rng: np.random.
     return Building(footprint, height, "flat", wall, deck, glazing=glass, storey_m=storey)
 
 
+def buildings_by_rule(
+    outlines: Iterable[tuple[Polygon, float | None]],
+    area: BaseGeometry,
+    carriageway: BaseGeometry,
+    rng: np.random.Generator,
+) -> tuple[Building, ...]:
+    """Buildings on outlines with known or unknown heights [m], cropped to an area and clear of streets."""
+    clear = carriageway.buffer(0.3)
+    return tuple(
+        _building_by_rule(part, height_m, rng)
+        for shape, height_m in outlines
+        for part in polygons(shape.intersection(area).difference(clear))
+        if part.area > 12
+    )
+
+
 def yards(pieces: Sequence[Polygon], built: BaseGeometry, rng: np.random.Generator) -> list[GroundPatch]:
-    """Paved yards about buildings, dry lawns and bare soil here and there; lawn is the rest."""
+    """Paved yards about buildings, and some dry lawns and bare soil."""
     patches = []
     for piece in pieces:
         yard = built.intersection(piece).buffer(4.5).intersection(piece).buffer(-0.5).buffer(0.5)
@@ -280,15 +254,14 @@ def garden_trees(
     return found
 
 
-def parked_on_pavements(
+def pavement_parking(
     network: RoadNetwork,
     carriageway: BaseGeometry,
     built: BaseGeometry,
     area: BaseGeometry,
     rng: np.random.Generator,
 ) -> list[ParkedVehicle]:
-    """Cars half on the pavement along quiet streets, as is usual there, clear of junctions and lanes."""
-    quiet = [lane for lane in network.of_kind("car") if _is_quiet(lane.street_type) and lane.index <= 1]
+    """Cars half on the pavement along quiet streets, clear of junctions and lanes."""
     lanes = unary_union(
         [lane.line.buffer(lane.width_m / 2 - 0.3) for lane in network.of_kind("car", "internal")]
     )
@@ -296,8 +269,9 @@ def parked_on_pavements(
     blocked = unary_union([built.buffer(0.5), junctions, lanes])
     shapely.prepare(blocked)
     parked, taken = [], []
-    for lane in quiet:
-        if lane.line.length < 25:
+    for lane in network.of_kind("car"):
+        quiet = any(word in lane.street_type for word in ("residential", "unclassified", "living_street"))
+        if not quiet or lane.index > 1 or lane.line.length < 25:
             continue
         beside = lane.line.offset_curve(-(lane.width_m / 2 + 0.95))
         if not isinstance(beside, LineString):
@@ -315,7 +289,3 @@ def parked_on_pavements(
             up = PAVEMENT_M if not carriageway.contains(Point(x, y)) else 0.0
             parked.append(ParkedVehicle(float(x), float(y), heading_of(ahead - here), model, up))
     return parked
-
-
-def _is_quiet(street_type: str) -> bool:
-    return any(word in street_type for word in ("residential", "unclassified", "living_street"))

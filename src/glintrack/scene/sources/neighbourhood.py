@@ -1,6 +1,6 @@
-"""A neighbourhood by rule on any street network: what stands on each block, drawn from a generator.
+"""A random neighbourhood on any street network.
 
-Houses with gardens and driveways, rows of town houses, shopping centres, office parks and parks with a pond.
+Blocks have houses with gardens and driveways, rows of town houses, shopping centres, office parks, or parks.
 """
 
 import math
@@ -16,8 +16,8 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from glintrack.scene.objects.buildings import Building
-from glintrack.scene.objects.geometry import polygons, rectangle_of
-from glintrack.scene.objects.layout import Layout, ParkedVehicle
+from glintrack.scene.objects.geometry import bounding_rectangle, polygons
+from glintrack.scene.objects.layout import Layout, ParkedVehicle, heading_of
 from glintrack.scene.objects.plants import HALF_WIDTH_M, HedgePiece, Tree, draw_tree, hedge_along
 from glintrack.scene.objects.surfaces import GroundPatch, RoadAreas, RoadNetwork, blocks
 from glintrack.scene.sources.lots import (
@@ -29,13 +29,13 @@ from glintrack.scene.sources.lots import (
     street_trees,
 )
 
-_FRONT_REACH_M = 6.0  # outlines of blocks are simplified by half of it
+_MAX_FRONT_M = 6.0  # of a lot from its street; outlines of blocks are simplified by half of it
 Use = Literal["housing", "town", "shopping", "offices", "park", "green"]
 
 
 @dataclass
 class _Plan:
-    """What has been placed so far, and the streets it stands along."""
+    """Objects placed so far, and the streets."""
 
     streets: BaseGeometry
     patches: list[GroundPatch] = field(default_factory=list)
@@ -57,40 +57,27 @@ def neighbourhood(
     Parameters
     ----------
     network, streets
-        Streets, and the areas they cover.
+        Streets, and their areas.
     area
-        What is filled. [m]
+        Area to fill. [m]
     use_of
-        What a block is for; `use_by_size`, or a plan.
+        Use of a block; `use_by_size`, or a plan.
     rng
-        Draws everything.
+        Source of all random choices.
     """
+    fill = {"shopping": _shopping_centre, "offices": _office_park, "park": _park}
+    fill |= {"town": _town_block, "green": _green, "housing": _housing}
     plan = _Plan(streets.all)
     shapely.prepare(plan.streets)
     for block in blocks(streets, area):
         block_rng = rng.spawn(1)[0]
-        match use_of(block, block_rng.spawn(1)[0]):
-            case "shopping":
-                _shopping_centre(plan, block, block_rng)
-            case "offices":
-                _office_park(plan, block, block_rng)
-            case "park":
-                _park(plan, block, block_rng)
-            case "town":
-                _town_block(plan, block, block_rng)
-            case "green":
-                _green(plan, block, block_rng)
-            case _:
-                _housing(plan, block, block_rng)
+        fill[use_of(block, block_rng.spawn(1)[0])](plan, block, block_rng)
     street_rng = rng.spawn(1)[0]
     plan.parked += kerbside_parking(network, area, street_rng, occupancy=0.3)
     solid = unary_union([b.footprint for b in plan.buildings]).buffer(2.0)
-    paved = unary_union(
-        [p.shape for p in plan.patches if p.material in ("concrete", "asphalt_worn", "water")]
-    )
-    plan.trees += street_trees(
-        network, unary_union([streets.carriageway.buffer(0.5), solid, paved]), area, street_rng
-    )
+    paved = [p.shape for p in plan.patches if p.material in ("concrete", "asphalt_worn", "water")]
+    taken = unary_union([streets.carriageway.buffer(0.5), solid, unary_union(paved)])
+    plan.trees += street_trees(network, taken, area, street_rng)
     return Layout(
         streets,
         tuple(plan.patches),
@@ -102,8 +89,8 @@ def neighbourhood(
 
 
 def use_by_size(block: Polygon, rng: np.random.Generator) -> Use:
-    """What a block is likely for: large compact ones may be a park, shops or offices, slivers stay green."""
-    _, _, length, width = rectangle_of(block)
+    """Draw the use of a block by its size: large compact ones may be a park, shops or offices."""
+    _, _, length, width = bounding_rectangle(block)
     compact = block.area > 0.7 * length * width
     west, south, east, north = block.bounds
     square = block.area > 0.7 * (east - west) * (north - south)  # shops and offices are laid out north-up
@@ -119,7 +106,7 @@ def use_by_size(block: Polygon, rng: np.random.Generator) -> Use:
 
 
 def _housing(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """Detached houses along the streets, with driveways, and gardens behind."""
+    """Place detached houses along the streets, with driveways, and gardens behind."""
     placed: list[Polygon] = []
     drives: list[Polygon] = []
     lots: list[Frontage] = []
@@ -136,8 +123,7 @@ def _housing(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
             if rng.random() < 0.55:
                 x, y = lot.point(lot.width_m / 2 - 1.6, rng.uniform(3.2, 5.5))
                 model = 0 if rng.random() < 0.7 else 1
-                out = rng.random() < 0.5
-                heading = lot.heading_rad + (math.pi if out else 0.0)
+                heading = heading_of(lot.inward) + (math.pi if rng.random() < 0.5 else 0.0)
                 plan.parked.append(ParkedVehicle(x, y, heading, model, 0.05))
     built = unary_union([p.buffer(2.5) for p in placed] + [d.buffer(1.0) for d in drives])
     solid = unary_union([*placed, *drives]).buffer(HALF_WIDTH_M + 0.1)
@@ -145,12 +131,17 @@ def _housing(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
     garden = block.buffer(-3.0).difference(built)
     for x, y in scatter(garden, spacing_m=9.0, count=int(block.area / 280), rng=rng):
         plan.trees.append(draw_tree(x, y, rng, (5.0, 13.0)))
-    _dry_lawns(plan, block, rng)
+    west, south, east, north = block.bounds
+    for _ in range(int(block.area / 1500)):  # some lawns are dry, some beds are bare
+        x, y = rng.uniform(west, east), rng.uniform(south, north)
+        blob = scale(Point(x, y).buffer(1.0, 6), rng.uniform(4, 10), rng.uniform(4, 10))
+        material = "grass_dry" if rng.random() < 0.7 else "soil"
+        plan.patches.append(GroundPatch(material, rotate(blob, rng.uniform(0, 180)).intersection(block)))
 
 
 def _on_streets(plan: _Plan, lots: list[Frontage]) -> list[Frontage]:
-    """Those that a street passes: a block at the edge of what is built has sides without one."""
-    return [lot for lot in lots if plan.streets.distance(Point(lot.middle)) < _FRONT_REACH_M]
+    """Select lots at a street: a block at the edge of the area has sides without one."""
+    return [lot for lot in lots if plan.streets.distance(Point(lot.middle)) < _MAX_FRONT_M]
 
 
 def _house(
@@ -183,7 +174,7 @@ def _house(
 
 
 def _hedges(lots: list[Frontage], free: BaseGeometry, rng: np.random.Generator) -> list[HedgePiece]:
-    """Along some gardens' sides and fronts, wherever neither house nor drive is in the way."""
+    """Place hedges along some gardens' sides and fronts, clear of houses and drives."""
     pieces: list[HedgePiece] = []
     for lot in lots:
         draw, leaf = rng.random(2), "leaf" if rng.random() < 0.6 else "leaf_walnut"
@@ -198,7 +189,7 @@ def _hedges(lots: list[Frontage], free: BaseGeometry, rng: np.random.Generator) 
 
 
 def _town_block(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """Closed rows of three to four storeys along the streets, a yard with parking behind."""
+    """Place closed rows of three to four storeys along the streets, and a yard with parking behind."""
     placed: list[Polygon] = []
     for lot in _on_streets(plan, frontages(block, lot_m=(11.0, 17.0), corner_m=1.0, rng=rng)):
         depth = rng.uniform(11.0, 13.0)
@@ -210,16 +201,16 @@ def _town_block(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
         footprint = max(parts, key=lambda p: p.area)
         placed.append(footprint)
         square = footprint.area > 0.93 * shapely.minimum_rotated_rectangle(footprint).area
-        flat_roof = not square or rng.random() < 0.5
+        roof, tiles, shares = "gable", ["roof_tile", "roof_slate", "roof_tile_new"], None
+        if not square or rng.random() < 0.5:
+            roof, tiles, shares = "flat", ["roof_bitumen", "roof_membrane"], [0.65, 0.35]
         plan.buildings.append(
             Building(
                 footprint,
                 eaves_m=2.9 * int(rng.integers(3, 5)) + 0.8,
-                roof="flat" if flat_roof else "gable",
+                roof=roof,
                 wall=str(rng.choice(["brick", "plaster", "concrete"], p=[0.5, 0.35, 0.15])),
-                roof_material=str(rng.choice(["roof_bitumen", "roof_membrane"], p=[0.65, 0.35]))
-                if flat_roof
-                else str(rng.choice(["roof_tile", "roof_slate", "roof_tile_new"])),
+                roof_material=str(rng.choice(tiles, p=shares)),
                 slope_rad=math.radians(rng.uniform(28, 38)),
             )
         )
@@ -230,7 +221,7 @@ def _town_block(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
 
 
 def _shopping_centre(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """A large low hall with a glass front, and a car park before it."""
+    """Place a large low hall with a glass front, and a car park in front of it."""
     west, south, east, north = block.buffer(-6).bounds
     hall = shapely.box(west + 8, north - 48, east - 8, north - 8).intersection(block.buffer(-6))
     shop = shapely.box(west + 6, south + 6, west + 30, south + 24).intersection(block.buffer(-5))
@@ -244,7 +235,7 @@ def _shopping_centre(plan: _Plan, block: Polygon, rng: np.random.Generator) -> N
 
 
 def _office_park(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """Glass-fronted offices with flat roofs, their car park and lawns."""
+    """Place glass-fronted offices with flat roofs, their car park and lawns."""
     inside = block.buffer(-10)
     west, south, east, north = inside.bounds
     footprints = (
@@ -270,10 +261,9 @@ def _office_park(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
 
 
 def _park(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """Lawn, a pond, gravel paths and old trees."""
+    """Place a lawn, a pond, gravel paths and old trees."""
     centre = block.centroid
-    pond = scale(Point(centre.x + 12, centre.y - 18).buffer(1.0, 24), 24, 15)
-    pond = rotate(pond, 25)
+    pond = rotate(scale(Point(centre.x + 12, centre.y - 18).buffer(1.0, 24), 24, 15), 25)
     plan.patches.append(GroundPatch("water", pond, -0.05))
     west, south, east, north = block.bounds
     paths = unary_union(
@@ -300,24 +290,14 @@ def _car_park(plan: _Plan, shape: BaseGeometry, rng: np.random.Generator, occupa
 
 
 def _verge(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """A row of trees inside the block's edge."""
+    """Place a row of trees inside the block's edge."""
     ring = block.buffer(-2.2).exterior
     for d in np.arange(5.0, ring.length, 11.0):
         p = ring.interpolate(d + rng.uniform(-2, 2))
         plan.trees.append(draw_tree(p.x, p.y, rng, (6.0, 10.0)))
 
 
-def _dry_lawns(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """Some lawns are dry, some beds are bare."""
-    west, south, east, north = block.bounds
-    for _ in range(int(block.area / 1500)):
-        x, y = rng.uniform(west, east), rng.uniform(south, north)
-        blob = scale(Point(x, y).buffer(1.0, 6), rng.uniform(4, 10), rng.uniform(4, 10))
-        material = "grass_dry" if rng.random() < 0.7 else "soil"
-        plan.patches.append(GroundPatch(material, rotate(blob, rng.uniform(0, 180)).intersection(block)))
-
-
 def _green(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """Left-over land: grass and a few trees."""
+    """Place a few trees on grass."""
     for x, y in scatter(block.buffer(-3.0), spacing_m=6.0, count=int(block.area / 200), rng=rng):
         plan.trees.append(draw_tree(x, y, rng, (5.0, 11.0)))

@@ -1,4 +1,4 @@
-"""Site that a source of cities gives `build_scene`; that of a city which a user brings as triangles."""
+"""Site of a city for `build_scene`, its position on the Earth, and the site of a mesh of a user."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,28 +11,28 @@ from pyproj.exceptions import CRSError, ProjError
 from scipy.spatial import KDTree
 
 from glintrack.scene.design import LARGEST_M2, SUMO_PREFIX, SceneDesign
-from glintrack.scene.objects.layout import Layout
+from glintrack.scene.objects.layout import Layout, expand_extent
 from glintrack.scene.objects.surfaces import RoadNetwork
-from glintrack.scene.objects.terrain import level_terrain
+from glintrack.scene.objects.terrain import flat_terrain
 from glintrack.scene.read.fcd import read_fcd
 from glintrack.scene.read.mesh import NamedMesh, default_up, ground_under, read_mesh
 from glintrack.scene.read.sumo import NetLocation, sumo_home
 from glintrack.scene.traffic import Recording, Traffic
 
-VEHICLE_MARGIN_M = 30.0  # vehicles are kept this far beyond: their shadows and mirror images reach in
-# What stands nowhere is given the place of the paper's scene, Rochester, New York.
+VEHICLE_MARGIN_M = 30.0  # of traffic beyond the window, whose shadows and mirror images reach in
+_STEP_S = 0.1
 
 
 @dataclass(frozen=True)
 class SceneOrigin:
-    """Projected CRS, and where ENU (0, 0) lies in it; grid north is taken as north. [m]."""
+    """Position of ENU (0, 0) in a projected CRS; grid north is taken as north. [m]"""
 
     crs: str
     easting_m: float
     northing_m: float
 
     def __post_init__(self):
-        """Refuse a CRS that PROJ does not know, and a place that is not on the Earth."""
+        """Refuse a CRS that PROJ does not know, and a position that is not on the Earth."""
         try:
             longitude, latitude = self.longitude_latitude_deg
         except (CRSError, ProjError) as error:
@@ -44,12 +44,13 @@ class SceneOrigin:
 
     @property
     def longitude_latitude_deg(self) -> tuple[float, float]:
-        """Of ENU (0, 0). [°]."""
+        """Longitude and latitude of ENU (0, 0). [deg]"""
         transformer = pyproj.Transformer.from_crs(self.crs, 4326, always_xy=True)
         longitude, latitude = transformer.transform(self.easting_m, self.northing_m)
         return float(longitude), float(latitude)
 
 
+# position of the paper's scene, Rochester, New York, for a city without one
 ROCHESTER = SceneOrigin("EPSG:32618", 288000.0, 4781000.0)
 
 
@@ -62,17 +63,17 @@ class Site:
     recording
         Streets and traffic in ENU.
     place
-        Where ENU (0, 0) lies.
+        Position of ENU (0, 0).
     extent_m
         West, south, east, north of the window. [m]
     layout
-        Makes the plan of what stands there from a generator; None for a mesh.
+        Makes the layout from a generator; None for a mesh.
     mesh
-        What stands there, for a city that comes as triangles.
+        Mesh of the city, if it has no layout.
     traffic_origin_m
-        Where ENU (0, 0) lies in the coordinates of a traffic file. [m]
+        Position of ENU (0, 0) in the coordinates of a traffic file. [m]
     assumptions
-        What was guessed because the data do not say, one sentence each.
+        Assumptions made where the data are incomplete, one sentence each.
     """
 
     recording: Recording
@@ -85,28 +86,30 @@ class Site:
 
 
 def resolve_file(name: str) -> Path:
-    """A file as named, or one of the installed SUMO wheel if the name begins with ``sumo:``."""
+    """Path of a file, in the installed SUMO wheel if the name begins with ``sumo:``."""
     if name.startswith(SUMO_PREFIX):
         return sumo_home() / name.removeprefix(SUMO_PREFIX)
     return Path(name)
 
 
-def given_place(design: SceneDesign) -> SceneOrigin | None:
-    """The place a design names, if it names one."""
-    if design.crs is None or design.origin_m is None:
-        return None
-    return SceneOrigin(design.crs, *design.origin_m)
-
-
-def network_place(
-    design: SceneDesign, location: NetLocation, centre_m: tuple[float, float]
+def place_of(
+    design: SceneDesign, location: NetLocation | None, centre_m: tuple[float, float], name: str
 ) -> tuple[SceneOrigin, tuple[str, ...]]:
-    """Where a network's window lies: as the design says, as its projection says, or by assumption."""
-    place = given_place(design)
-    if place is not None:
-        return place, ()
-    if location.projection is None:
-        return ROCHESTER, ("the network has no projection: the scene is put at Rochester, New York",)
+    """Position of a city: by the design, by the projection of its network, or by assumption, with a sentence.
+
+    Parameters
+    ----------
+    design, location
+        Table ``[scene]`` of a case, and the position of its network. [m]
+    centre_m
+        ENU (0, 0) in network coordinates. [m]
+    name
+        Data that may lack a position, for the sentence.
+    """
+    if design.crs is not None and design.origin_m is not None:
+        return SceneOrigin(design.crs, *design.origin_m), ()
+    if location is None or location.projection is None:
+        return ROCHESTER, (f"the {name}: the scene is put at Rochester, New York",)
     try:
         crs = pyproj.CRS.from_user_input(location.projection)
     except CRSError as error:
@@ -119,9 +122,6 @@ def network_place(
     return SceneOrigin(known, east, north), ()
 
 
-_STEP_S = 0.1
-
-
 def mesh_site(design: SceneDesign) -> Site:
     """Window, ground and traffic of a design with city ``mesh``.
 
@@ -130,9 +130,15 @@ def mesh_site(design: SceneDesign) -> Site:
     ValueError
         If the mesh or the traffic cannot be read, or the mesh is larger than a scene may be.
     """
-    mesh_path = Path(resolve_file(str(design.mesh_file)))
+    mesh_path = resolve_file(str(design.mesh_file))
     mesh = read_mesh(mesh_path, design.mesh_up, design.mesh_unit_m)
-    said = mesh.flaws + _taken(design, mesh_path)
+    said = mesh.flaws
+    if design.mesh_up is None:
+        said += (f"up is the mesh's {default_up(mesh_path)} axis (scene.mesh_up)",)
+    if design.mesh_unit_m is None:
+        said += ("the mesh is in metres (scene.mesh_unit_m)",)
+    if not design.dem_file:
+        said += ("the ground is the mesh's lowest surface that faces up",)
     given = design.width_m is not None or design.height_m is not None
     west, south, east, north = extent = design.extent_m if given else mesh.extent_m
     if (east - west) * (north - south) > LARGEST_M2:
@@ -140,44 +146,24 @@ def mesh_site(design: SceneDesign) -> Site:
             f"`mesh_file` must cover at most {LARGEST_M2 / 1e6:g} km², got {east - west:.0f} m × "
             f"{north - south:.0f} m (give width_m and height_m of a window about its origin)"
         )
-    traffic = no_traffic(design.traffic_duration_s)
     if design.traffic_file:
-        margin = VEHICLE_MARGIN_M
-        reach = (west - margin, south - margin, east + margin, north + margin)
+        reach = expand_extent(extent, VEHICLE_MARGIN_M)
         traffic, odd = read_fcd(resolve_file(design.traffic_file), reach)
         said += odd.sentences()
     else:
+        steps = int(np.ceil(design.traffic_duration_s / _STEP_S)) + 1
+        none = {name: np.zeros(0) for name in ("bumper_east", "bumper_north", "angle")}
+        none |= {name: np.zeros(0, int) for name in ("first", "count", "model")}
+        traffic = Traffic(step_s=_STEP_S, steps=steps, **none)
         said += ("there is no traffic: a mesh has no lanes (give a traffic_file)",)
-    place = given_place(design)
-    if place is None:
-        place = ROCHESTER
-        said += ("the mesh does not say where it lies: the scene is put at Rochester, New York",)
-    return Site(Recording(RoadNetwork((), ()), traffic), place, extent, mesh=mesh, assumptions=said)
-
-
-def _taken(design: SceneDesign, path: Path) -> tuple[str, ...]:
-    """What to say of a mesh's axes, unit and ground where the design leaves them open."""
-    said = ()
-    if design.mesh_up is None:
-        said += (f"up is the mesh's {default_up(path)} axis (scene.mesh_up)",)
-    if design.mesh_unit_m is None:
-        said += ("the mesh is in metres (scene.mesh_unit_m)",)
-    if not design.dem_file:
-        said += ("the ground is the mesh's lowest surface that faces up",)
-    return said
+    place, more = place_of(design, None, (0.0, 0.0), "mesh has no position")
+    recording = Recording(RoadNetwork((), ()), traffic)
+    return Site(recording, place, extent, mesh=mesh, assumptions=said + more)
 
 
 def mesh_terrain(mesh: NamedMesh, bounds_m: tuple[float, float, float, float]) -> xr.Dataset:
-    """Ground of a mesh, the lowest surface that faces up; that of the nearest where there is none.
-
-    Parameters
-    ----------
-    mesh
-        In ENU.
-    bounds_m
-        West, south, east, north. [m]
-    """
-    terrain = level_terrain(bounds_m)
+    """Ground of a mesh within west, south, east, north [m]: the lowest, or the nearest, upward surface."""
+    terrain = flat_terrain(bounds_m)
     height = ground_under(mesh, terrain["x"].values, terrain["y"].values)
     missing = ~np.isfinite(height)
     if missing.all():
@@ -187,18 +173,3 @@ def mesh_terrain(mesh: NamedMesh, bounds_m: tuple[float, float, float, float]) -
         nearest = KDTree(np.c_[y, x]).query(np.argwhere(missing))[1]
         height[missing] = height[y[nearest], x[nearest]]
     return terrain.assign(height=(("y", "x"), height, {"units": "m"}))
-
-
-def no_traffic(duration_s: float) -> Traffic:
-    """Empty streets for a time. [s]"""
-    whole, real = np.zeros(0, int), np.zeros(0)
-    return Traffic(
-        step_s=_STEP_S,
-        steps=int(np.ceil(duration_s / _STEP_S)) + 1,
-        first=whole,
-        count=whole,
-        model=whole,
-        bumper_east=real,
-        bumper_north=real,
-        angle=real,
-    )
