@@ -20,6 +20,7 @@ from glintrack.io.photographs import (
     is_within,
     read_height_range,
     read_heights,
+    transform_points,
 )
 from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M, open_raster
 from glintrack.ortho.grid import heights_at, transform_axes, transform_places
