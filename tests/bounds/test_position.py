@@ -8,8 +8,8 @@ import xarray as xr
 
 from glintrack import Case, simulate
 from glintrack.atmosphere import solve_tables
-from glintrack.bounds.accuracy import Sighting, Turn, flight_accuracy, turn
-from glintrack.bounds.ideal_observer import nearest_vehicle
+from glintrack.bounds.accuracy import FrameTracking, FrameTruth, flight_accuracy
+from glintrack.bounds.ideal_observer import assign_elements
 from glintrack.bounds.loss_budget import FrameBudget
 from glintrack.bounds.position import STEP_M, position_information
 from glintrack.bounds.run import FlightBudget, measure_bounds
@@ -33,12 +33,12 @@ def test_a_smooth_blob_says_what_the_closed_form_says():
 
     on = np.where(np.hypot(row - 40, column - 40) < 6, 7, -1)
     frames = [blob(), blob(STEP_M), blob(0.0, STEP_M)]
-    found = position_information("all", frames, nearest_vehicle(on), np.array([7]), sensor)[0]
+    found = position_information("all", frames, assign_elements(on), np.array([7]), sensor)[0]
     expected = np.pi * high**2 / (2 * pitch_m**2 * (ground + dark_noise_e(sensor) ** 2))
     missed = 0.05  # what changes by less than 5 % of the noise is not counted, and the step is no derivative
     np.testing.assert_allclose(np.diag(found), expected, rtol=missed)
     assert abs(found[0, 1]) < 0.02 * expected
-    pan = position_information("pan", frames, nearest_vehicle(on), np.array([7]), sensor)[0]
+    pan = position_information("pan", frames, assign_elements(on), np.array([7]), sensor)[0]
     np.testing.assert_allclose(pan, found / 4, rtol=0.1, atol=0.02 * expected)  # one element in four
 
 
@@ -50,13 +50,15 @@ def flight(track_offset_m=(0.3, 0.0), frames=12):
     for t in times:
         place = np.array([[10.0 * t, 5.0]])
         sightings.append(
-            Sighting(
+            FrameTruth(
                 float(t), np.array([0.0, -2000.0]), 1e4, np.array([3]), place, np.array([np.pi / 2]),
                 np.array([0.5]), np.array([True]), np.array([4.5]),
             )
         )  # fmt: skip
         offset = rng.standard_normal((1, 2)) * [1.5, 0.5]
-        turns.append(Turn(np.array([3]), offset, np.empty((0, 2)), np.array([8]), place + track_offset_m))
+        turns.append(
+            FrameTracking(np.array([3]), offset, np.empty((0, 2)), np.array([8]), place + track_offset_m)
+        )
     along, across = 400.0, 100.0  # were it wholly visible: in this heading east and north
     told = 0.5 * np.diag([along, across])[None]
     frame = FrameBudget(4, float(times[4]), 1, 1, one, np.ones(1), np.ones(1), told)
@@ -96,7 +98,7 @@ def test_of_many_that_come_and_go_each_is_bounded_as_if_alone():
         ids = np.arange(max(0, k // 4 - 3), min(k // 4 + 1, 150))
         place = np.stack([10.0 * (0.5 * k - 2.0 * ids), 3.0 * ids], axis=1)
         sightings.append(
-            Sighting(
+            FrameTruth(
                 0.5 * k, np.array([0.0, -2000.0]), 1e4, 1000 - ids, place, ids / 10.0,
                 rng.uniform(0.1, 1, len(ids)), rng.random(len(ids)) < 0.9, np.full(len(ids), 4.5),
             )
@@ -118,10 +120,10 @@ def test_of_many_that_come_and_go_each_is_bounded_as_if_alone():
 
 def test_detections_where_nothing_drives_are_all_false():
     nothing = np.empty((0, 2))
-    bare = Sighting(0.0, np.zeros(2), 1e4, *(np.empty(0, int), nothing), *[np.empty(0)] * 2,
+    bare = FrameTruth(0.0, np.zeros(2), 1e4, *(np.empty(0, int), nothing), *[np.empty(0)] * 2,
                     np.empty(0, bool), np.empty(0))  # fmt: skip
     tracks = xr.Dataset({"east": ("track", []), "north": ("track", [])}, coords={"track": []})
-    made = turn(bare, np.array([[1.0, 2.0], [3.0, 4.0]]), tracks)
+    made = FrameTracking.of(bare, np.array([[1.0, 2.0], [3.0, 4.0]]), tracks)
     assert len(made.found) == len(made.offset) == 0 and len(made.false) == 2
 
 

@@ -28,7 +28,7 @@ def polarization(
     variance: Float[Array, "superpixel polarizer"],
     stokes_matrix: Float[Array, "3 polarizer"],
 ) -> Polarization:
-    """Q/I and U/I of the polarizers' readings with noise, to first order."""
+    """Q/I and U/I from the polarizers' readings with noise, to first order."""
     s = readings @ stokes_matrix.T
     total = np.where(np.abs(s[:, :1]) > 1e-12, s[:, :1], 1e-12)
     mean = s[:, 1:] / total
@@ -43,25 +43,18 @@ def dolp_variance(of: Polarization) -> Float[Array, "superpixel"]:
     return np.einsum("na,nab,nb->n", along, of.covariance, along)
 
 
-def groups_of(sensor: Sensor) -> tuple[str, ...]:
-    """The groups of elements that a sensor has; where all are pan there is no group of all."""
+def element_groups(sensor: Sensor) -> tuple[str, ...]:
+    """Groups of elements of a sensor; without the group of all where every element is pan."""
     pan = sensor.pan_element is not None
     has = {"pan": pan, "dolp": sensor.stokes_matrix is not None, "all": not pan or sensor.side > 1}
     return tuple(group for group in GROUPS if has[group])
 
 
-def polarizer_places(sensor: Sensor) -> list[tuple[int, int]]:
-    """(row, column) of the polarizers in the superpixel, in the order of `Sensor.stokes_matrix`."""
-    layout = sensor.design.superpixel
-    return [(i, j) for i, row in enumerate(layout) for j, what in enumerate(row) if not isinstance(what, str)]
-
-
-def elements_of(group: str, sensor: Sensor) -> list[tuple[int, int]]:
-    """Places in the superpixel of the elements whose own values a group consists of."""
+def group_elements(group: str, sensor: Sensor) -> list[tuple[int, int]]:
+    """(row, column) in the superpixel of the elements of a group."""
     if group == "pan":
         return [sensor.mirror_element]
-    side = sensor.side
-    return [(i, j) for i in range(side) for j in range(side)]
+    return [(i, j) for i in range(sensor.side) for j in range(sensor.side)]
 
 
 def group_planes(
@@ -70,21 +63,14 @@ def group_planes(
     """Evidence of change of a group of elements, for `finder.find_vehicles`."""
     side = sensor.side
     if group == "dolp":
-        z2 = dolp_change(electrons, background, sensor)
+        expected = superpixel_polarization(background.electrons, background.variance, sensor)
+        measured = superpixel_polarization(electrons, background.variance, sensor)
+        change = np.linalg.norm(measured.mean, axis=1) - np.linalg.norm(expected.mean, axis=1)
+        shape = electrons.shape[0] // side, electrons.shape[1] // side
+        z2 = (change**2 / dolp_variance(expected)).reshape(shape)
         return [Plane(evidence(z2), (side - 1) / 2, (side - 1) / 2, side)]
     z2 = (electrons - background.electrons) ** 2 / background.variance
-    return [Plane(evidence(z2[i::side, j::side]), i, j, side) for i, j in elements_of(group, sensor)]
-
-
-def dolp_change(
-    electrons: Float[Array, "row column"], background: PredictedBackground, sensor: Sensor
-) -> Float[Array, "y x"]:
-    """Squared change of each superpixel's DoLP over its variance, elements taken as they lie. [1]"""
-    expected = superpixel_polarization(background.electrons, background.variance, sensor)
-    measured = superpixel_polarization(electrons, background.variance, sensor)
-    change = np.linalg.norm(measured.mean, axis=1) - np.linalg.norm(expected.mean, axis=1)
-    shape = electrons.shape[0] // sensor.side, electrons.shape[1] // sensor.side
-    return (change**2 / dolp_variance(expected)).reshape(shape)
+    return [Plane(evidence(z2[i::side, j::side]), i, j, side) for i, j in group_elements(group, sensor)]
 
 
 def superpixel_polarization(
@@ -93,30 +79,24 @@ def superpixel_polarization(
     sensor: Sensor,
     chosen: Array | None = None,
 ) -> Polarization:
-    """Q/I and U/I of superpixels, row by row, or of the chosen ones (y, x)."""
-    scale = _electrons_per_reading(sensor, chosen)
-    mean, spread = (_at_polarizers(values, sensor, chosen) for values in (electrons, variance))
-    return polarization(mean / scale, spread / scale**2, _stokes_matrix(sensor))
-
-
-def _stokes_matrix(sensor: Sensor) -> Float[Array, "3 polarizer"]:
+    """Q/I and U/I of all superpixels, row by row, or of chosen ones (y, x)."""
     if sensor.stokes_matrix is None:
         raise ValueError(f"`sensor` must have polarizers, got layout {sensor.design.layout!r}")
-    return sensor.stokes_matrix
+    layout, side = sensor.design.superpixel, sensor.side
+    # in the order of `Sensor.stokes_matrix`
+    places = [
+        (i, j) for i, row in enumerate(layout) for j, kind in enumerate(row) if not isinstance(kind, str)
+    ]
 
+    def at_polarizers(values: Array) -> Float[Array, "superpixel polarizer"]:
+        if chosen is None:
+            return np.stack([values[i::side, j::side].ravel() for i, j in places], axis=-1)
+        rows, columns = side * chosen[:, 0], side * chosen[:, 1]
+        return np.stack([values[rows + i, columns + j] for i, j in places], axis=-1)
 
-def _at_polarizers(
-    values: Float[Array, "row column"], sensor: Sensor, chosen: Array | None = None
-) -> Float[Array, "superpixel polarizer"]:
-    """Values of the elements behind the polarizers of all superpixels, or of the chosen ones."""
-    side, places = sensor.side, polarizer_places(sensor)
-    if chosen is None:
-        return np.stack([values[i::side, j::side].ravel() for i, j in places], axis=-1)
-    rows, columns = side * chosen[:, 0], side * chosen[:, 1]
-    return np.stack([values[rows + i, columns + j] for i, j in places], axis=-1)
-
-
-def _electrons_per_reading(sensor: Sensor, chosen: Array | None = None) -> Float[Array, "_ polarizer"]:
-    known = np.asarray(sensor.pattern.known_gain)
-    gain = _at_polarizers(known, sensor, chosen) if known.ndim == 2 else known
-    return gain * np.array([[sensor.electrons_per_reading[place] for place in polarizer_places(sensor)]])
+    gain = np.asarray(sensor.pattern.known_gain)
+    gain = at_polarizers(gain) if gain.ndim == 2 else gain
+    scale = gain * np.array([[sensor.electrons_per_reading[place] for place in places]])
+    return polarization(
+        at_polarizers(electrons) / scale, at_polarizers(variance) / scale**2, sensor.stokes_matrix
+    )

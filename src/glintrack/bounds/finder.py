@@ -1,9 +1,9 @@
-"""Vehicles to be found: one frozen algorithm for every design, a joint fit of vehicle templates.
+"""Fixed finder of vehicles, the same for every design: a joint fit of vehicle templates.
 
-What each element says of change, f = ln(1 + z²/3), goes to a ground grid at half a car's height. A template
-is the footprint of a car or a lorry in one of eight directions; its score is Σ (min(f, 2.5) − 0.8) over it.
-Templates are taken in falling order of score, each with what those before it, and their shadows, left
-unexplained.
+The evidence of change of each element, f = ln(1 + z²/3), is sampled on a ground grid at half a car's height.
+A template is the footprint of a car or a lorry in one of eight directions; its score is
+Σ (min(f, 2.5) − 0.8). Templates are taken in falling order of score; each explains the cells under it and its
+shadow.
 """
 
 import math
@@ -20,18 +20,18 @@ from glintrack.core.parallel import over_rows
 
 CELL_M = 0.75
 HEIGHT_M = 0.7  # of a vehicle's middle
-SHADOW_M = 1.5  # of what casts it
+SHADOW_M = 1.5  # height that casts it
 PENALTY = 0.8  # of a cell, against ln(1 + z²/3) of noise, 0.26 in the mean
-MOST_GAIN = 2.5  # of a cell: ten times the noise say no more than three, and a template must be full
+MAX_GAIN = 2.5  # of a cell, so that a template must be full
 FOOTPRINTS_M = ((4.6, 2.0), (11.0, 2.6))
 DIRECTIONS = 8
-MOST = 400  # templates of a frame
-_LEAST = 2.0  # score of a template
+MAX_TEMPLATES = 400  # of a frame
+_MIN_SCORE = 2.0  # of a template
 _MARGIN_M = 1.0  # about what is explained: roof and sides seen aslant
 
 
 class Found(NamedTuple):
-    """Templates fitted to a frame, by falling score: their middles and what they explain. [m, 1]"""
+    """Middles and scores of the templates fitted to a frame, by falling score. [m, 1]"""
 
     position: Float[Array, "template 2"]
     score: Float[Array, "template"]
@@ -43,11 +43,11 @@ class Templates(NamedTuple):
     Parameters
     ----------
     border
-        Cells about the grid that hold nothing.
+        Empty cells about the grid.
     offset, weight
-        Of each cell of each template: where, and the part of it that lies inside.
+        Distance of each cell of each template, and the part of the cell inside the footprint.
     start
-        Where each template's cells begin, and the last one's end.
+        Index of each template's first cell, and the end of the last one.
     """
 
     border: int
@@ -57,7 +57,7 @@ class Templates(NamedTuple):
 
 
 class Plane(NamedTuple):
-    """Evidence of one kind of element: values, and where element (0, 0) of it lies and how far apart."""
+    """Evidence of one kind of element: values, place of element (0, 0) of that kind, and spacing."""
 
     evidence: Float[Array, "y x"]
     row: float
@@ -66,7 +66,7 @@ class Plane(NamedTuple):
 
 
 def _seen_cells(plane: Plane, place: Array) -> tuple[Int[Array, "cell"], Int[Array, "cell"]]:
-    """Cells that the elements of a plane see, and which element sees each, in flat arrays."""
+    """Cells that the elements of a plane see, and the element of each, in flat arrays."""
     rows, columns = plane.evidence.shape
     i = np.round((place[..., 0] - plane.row) / plane.step)
     j = np.round((place[..., 1] - plane.column) / plane.step)
@@ -76,7 +76,7 @@ def _seen_cells(plane: Plane, place: Array) -> tuple[Int[Array, "cell"], Int[Arr
 
 
 def evidence(z2: Float[Array, "..."]) -> Float[Array, "..."]:
-    """ln(1 + z²/3), which no single residual dominates; 0 where nothing is known."""
+    """ln(1 + z²/3), robust against single residuals; 0 where z is not known."""
     return np.log1p(np.nan_to_num(z2, nan=0.0, posinf=1e6) / 3).astype(np.float32)
 
 
@@ -91,13 +91,13 @@ def find_vehicles(
     Parameters
     ----------
     planes
-        Evidence of each kind of element; their mean counts.
+        Evidence of each kind of element; the mean is used.
     place
         Row and column of the elements that see the ground cells, from `cell_places`.
     area_m
         West, south, east, north. [m]
     sun_direction
-        Unit vector toward the sun: where shadows fall. [1]
+        Unit vector toward the sun. [1]
     """
     x, y = ground_cells(area_m)
     shape = place.shape[:2]
@@ -106,8 +106,8 @@ def find_vehicles(
         seen, element = _seen_cells(plane, place)
         gain.reshape(-1)[seen] += plane.evidence.reshape(-1)[element] / len(planes)
     taps, start = _taps()
-    border = int(np.abs(taps[:, :2]).max())  # of nothing: no template reaches beyond it
-    gain = np.pad(np.minimum(gain, MOST_GAIN) - PENALTY, border)
+    border = int(np.abs(taps[:, :2]).max())  # no template reaches beyond it
+    gain = np.pad(np.minimum(gain, MAX_GAIN) - PENALTY, border)
     templates = Templates(border, (taps[:, 0] * gain.shape[1] + taps[:, 1]).astype(int), taps[:, 2], start)
     best, which = np.full(shape, -np.inf, np.float32), np.zeros(shape, np.int16)
     over_rows(_score_rows, len(best), gain, templates, best, which)
@@ -121,12 +121,12 @@ def find_vehicles(
 def cell_places(
     camera: Camera, pose: Pose, ground_m: Float[Array, "y x"], area_m: tuple[float, float, float, float]
 ) -> Float[Array, "y x 2"]:
-    """(row, column) of elements in which vehicles' middles over the ground cells are seen.
+    """(row, column) of the elements that see vehicles' middles over the ground cells.
 
     Parameters
     ----------
     camera, pose
-        Of the frame: the true pose, or the reported one.
+        Camera and pose of the frame, true or reported.
     ground_m
         Heights of the ground at `ground_cells`. [m]
     area_m
@@ -137,14 +137,14 @@ def cell_places(
 
 
 def ground_cells(area_m: tuple[float, float, float, float]) -> tuple[Float[Array, "x"], Float[Array, "y"]]:
-    """East and north of the cells' middles. [m]"""
+    """East and north of the middles of the cells. [m]"""
     west, south, east, north = area_m
     return np.arange(west + CELL_M / 2, east, CELL_M), np.arange(north - CELL_M / 2, south, -CELL_M)
 
 
 @lru_cache(maxsize=1)
 def _taps() -> tuple[Float[Array, "tap 3"], Array]:
-    """(row, column, weight) of every template's cells, and where each template's begin."""
+    """(row, column, weight) of the cells of all templates, and the index of each template's first cell."""
     taps, start = [], [0]
     for length, width in FOOTPRINTS_M:
         for k in range(DIRECTIONS):
@@ -154,7 +154,7 @@ def _taps() -> tuple[Float[Array, "tap 3"], Array]:
 
 
 def _explained() -> Float[Array, "template 3"]:
-    """Half length, half width and direction of what each template explains. [cell, cell, rad]"""
+    """Half length, half width and direction of the box that each template explains. [cell, cell, rad]"""
     return np.array(
         [
             ((length / 2 + _MARGIN_M) / CELL_M, (width / 2 + _MARGIN_M) / CELL_M, math.pi * k / DIRECTIONS)
@@ -165,7 +165,7 @@ def _explained() -> Float[Array, "template 3"]:
 
 
 def _footprint(length_m: float, width_m: float, direction_rad: float) -> Float[Array, "tap 3"]:
-    """Cells of a rectangle, each weighed by the part of it that lies inside, of 8 × 8 points."""
+    """Cells of a rectangle, each with the share of its 8 × 8 points inside."""
     half = math.ceil(length_m / 2 / CELL_M) + 1
     fine = (np.arange(8) + 0.5) / 8 - 0.5
     steps = (np.arange(-half, half + 1)[:, None] + fine).ravel() * CELL_M
@@ -181,7 +181,7 @@ def _footprint(length_m: float, width_m: float, direction_rad: float) -> Float[A
 
 @nb.njit(cache=True, forceinline=True, error_model="numpy")
 def _score_at(gain, middle, templates):
-    """Score of the best template about a place of the flat gain, and which it is."""
+    """Score and number of the best template about a place of the flat gain."""
     best, which = -np.inf, 0
     for k in range(len(templates.start) - 1):
         total = 0.0
@@ -204,7 +204,7 @@ def _score_rows(first, last, gain, templates, best, which):
 
 @nb.njit(cache=True, error_model="numpy")
 def _explain(gain, i, j, box, shadow):
-    """Leave nothing to explain under a template and its shadow."""
+    """Remove the gain under a template and its shadow."""
     rows, columns = gain.shape
     c, s = math.cos(box[2]), math.sin(box[2])
     steps = max(math.ceil(math.hypot(shadow[0], shadow[1])), 1)
@@ -234,7 +234,7 @@ def _fit(gain, templates, best, which, boxes, shadow, reach):
     rows, columns = best.shape
     flat, border = gain.reshape(-1), templates.border
     inside = gain[border : border + rows, border : border + columns]
-    cells, scores = np.empty((MOST, 2), np.int64), np.empty(MOST)
+    cells, scores = np.empty((MAX_TEMPLATES, 2), np.int64), np.empty(MAX_TEMPLATES)
     spread = reach + math.ceil(max(abs(shadow[0]), abs(shadow[1]))) + reach
     count = 0
     if best.size == 0:
@@ -242,17 +242,17 @@ def _fit(gain, templates, best, which, boxes, shadow, reach):
     row_best = np.empty(rows)
     for i in range(rows):
         row_best[i] = best[i, _highest(best[i])]
-    while count < MOST:
+    while count < MAX_TEMPLATES:
         i = _highest(row_best)
         j = _highest(best[i])
-        if not best[i, j] >= _LEAST:
+        if not best[i, j] >= _MIN_SCORE:
             break
         cells[count, 0], cells[count, 1], scores[count] = i, j, best[i, j]
         count += 1
         _explain(inside, i, j, boxes[which[i, j]], shadow)
         for r in range(max(i - spread, 0), min(i + spread + 1, rows)):
             for q in range(max(j - spread, 0), min(j + spread + 1, columns)):
-                if best[r, q] >= _LEAST:  # scores only fall
+                if best[r, q] >= _MIN_SCORE:  # scores only fall
                     middle = (r + border) * gain.shape[1] + q + border
                     if flat[middle] > 0:
                         best[r, q], which[r, q] = _score_at(flat, middle, templates)

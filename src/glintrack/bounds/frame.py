@@ -32,9 +32,9 @@ class ObservedFrame:
     true_pose, reported_pose
         Pose of the camera, and the navigator's.
     hits, planes
-        What the rays met, and the light of it on the elements, from `sensor.light_on_elements`.
+        Hits of the rays, and their light on the elements, from `sensor.light_on_elements`.
     planes_with
-        Gives the planes where some elements, traced again, saw something else.
+        Function that gives the planes with some elements traced again.
     truth
         Schema ``truth`` with ``visible_fraction``.
     """
@@ -51,10 +51,7 @@ class ObservedFrame:
 
 @dataclass(frozen=True)
 class ExposedFrame:
-    """What is kept of an `ObservedFrame` until no later frame is predicted from it.
-
-    ``occluded`` are the elements that a vehicle or its shadow may touch.
-    """
+    """Part of an `ObservedFrame` for predictions; ``occluded`` may contain a vehicle or its shadow."""
 
     time_s: float
     true_pose: Pose
@@ -63,55 +60,50 @@ class ExposedFrame:
     occluded: Bool[Array, "row column"]
 
     def past(self, electrons: Float[Array, "row column"], reported: bool) -> PastFrame:
-        """What a later frame may be predicted from, of its `expected_electrons`."""
+        """Past frame for `predict`, with its `mean_electrons`."""
         pose = self.reported_pose if reported else self.true_pose
         return PastFrame(electrons, self.occluded, pose, self.time_s)
 
 
-def expected_electrons(
+def mean_electrons(
     planes: Float[Array, "plane row column"], sensor: Sensor, polarized: bool = True
 ) -> Float[Array, "row column"]:
-    """Mean photoelectrons of each element; with S1 = S2 = 0 of the same light if asked so. [e]"""
+    """Mean photoelectrons of each element; of the light with S1 = S2 = 0 if not ``polarized``. [e]"""
     light = planes if polarized else depolarized(planes, sensor)
     return photo_electrons(light, sensor) * sensor.pattern.gain
 
 
-def measured_electrons(
+def sample_electrons(
     planes: Float[Array, "plane row column"], sensor: Sensor, rng: np.random.Generator, polarized: bool = True
 ) -> Float[Array, "row column"]:
-    """Photoelectrons as read with noise, fixed pattern and full well, less what calibration takes off. [e]"""
+    """Photoelectrons after readout with noise, fixed pattern and full well, and calibration. [e]"""
     light = planes if polarized else depolarized(planes, sensor)
-    return read_out(light, sensor, rng) * electrons_per_reading(sensor)
-
-
-def electrons_per_reading(sensor: Sensor) -> Float[Array, "row column"]:
-    """Photoelectrons of each element per unit of what it reads, as its calibration knows it."""
     rows, columns = sensor.camera.rows, sensor.camera.columns
     one = np.tile(sensor.electrons_per_reading, (rows // sensor.side + 1, columns // sensor.side + 1))
-    return one[:rows, :columns] * sensor.pattern.known_gain
+    return read_out(light, sensor, rng) * (one[:rows, :columns] * sensor.pattern.known_gain)
 
 
 def full_electrons(sensor: Sensor) -> float:
-    """Electrons at which an element or its converter stops counting. [e]"""
+    """Electrons at which an element or its converter saturates. [e]"""
     design = sensor.design
     return min(float(design.full_well_e), (2.0**design.bits - 1) * float(design.electrons_per_count))
 
 
 def vehicles_on(hits: Hits) -> Float[Array, "row column"]:
-    """Id of a vehicle that some ray of each element met, the highest; −1 where none did."""
+    """Highest id of the vehicles that the rays of each element hit; −1 for none."""
     return np.maximum.reduceat(hits.vehicle_id, hits.first[:-1]).reshape(hits.rows, hits.columns)
 
 
 def element_points(
-    hits: Hits, camera: Camera, pose: Pose, anew: Hits | None = None
+    hits: Hits, camera: Camera, pose: Pose, again: Hits | None = None
 ) -> Float[Array, "row column 3"]:
-    """What lies along each element's axis: the median of its rays' ranges there; NaN for sky. [m]
+    """Point along each element's axis at the median range of its rays; NaN for sky. [m]
 
-    Elements that were traced ``anew`` see that instead.
+    Elements that were traced ``again`` have those hits.
     """
     middle = _median_ranges(hits)
-    if anew is not None:
-        middle = np.where(anew.rays.reshape(middle.shape) > 0, _median_ranges(anew), middle)
+    if again is not None:
+        middle = np.where(again.rays.reshape(middle.shape) > 0, _median_ranges(again), middle)
     return pose.position + rays(camera, pose) * np.where(np.isfinite(middle), middle, np.nan)[..., None]
 
 
@@ -134,19 +126,19 @@ def _median_range(start, stop, first, weight, range_m, out):
                 out[element] = min(out[element], range_m[sample])
 
 
-def touched(
+def traffic_mask(
     on: Float[Array, "row column"], tall: Array, camera: Camera, pose: Pose, sun: Float[Array, "3"]
 ) -> Bool[Array, "row column"]:
-    """Elements that vehicles or their shadows touch: the silhouettes, drawn out along the shadow, widened.
+    """Elements with vehicles or their shadows: silhouettes, extended along the shadow and dilated.
 
     Parameters
     ----------
     on
-        From `vehicles_on`.
+        Vehicle ids from `vehicles_on`.
     tall
         Ids of the vehicles higher than 2 m.
     camera, pose
-        Of the frame.
+        Camera and pose of the frame.
     sun
         Unit vector toward the sun. [1]
     """
@@ -159,16 +151,6 @@ def touched(
     is_tall = np.isin(on, tall)
     for height_m in np.arange(_SHADOW_STEP_M, _HIGH_M + 1e-9, _SHADOW_STEP_M):
         source = (on >= 0) if height_m <= _LOW_M else is_tall
-        shift = np.round(step * height_m).astype(int)
-        out = out | _shifted(source, int(shift[0]), int(shift[1]))
+        shift = np.round(step * height_m)
+        out = out | (ndimage.shift(source.astype(np.uint8), shift, order=0) > 0)
     return ndimage.binary_dilation(out, np.ones((3, 3), bool), iterations=_MARGIN)
-
-
-def _shifted(mask: Array, rows: int, columns: int) -> Array:
-    """The mask moved by whole elements; what leaves the frame is lost."""
-    out = np.zeros_like(mask)
-    height, width = mask.shape
-    out[max(rows, 0) : height + min(rows, 0), max(columns, 0) : width + min(columns, 0)] = mask[
-        max(-rows, 0) : height - max(rows, 0), max(-columns, 0) : width - max(columns, 0)
-    ]
-    return out

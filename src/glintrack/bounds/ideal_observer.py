@@ -1,8 +1,8 @@
-"""The ideal observer: likelihood ratio between a frame with a vehicle and the same one without.
+"""Ideal observer: likelihood ratio between a frame with a vehicle and the same one without.
 
-Place, background and vehicle are known; only noise is not. The log-likelihood ratio T of independent elements
-has under both hypotheses the cumulants of one function, K(s) = ln E₀[e^{sT}] = Σ ln ∫ p₁ˢ p₀¹⁻ˢ: under the
-vehicle it is K(s + 1). Tails follow by the saddle point, down to false alarms so rare that no draws reach.
+Position, background and vehicle are known; only noise is not. The log-likelihood ratio T of independent
+elements has under both hypotheses the cumulants of one function, K(s) = ln E₀[e^{sT}] = Σ ln ∫ p₁ˢ p₀¹⁻ˢ:
+with the vehicle it is K(s + 1). Tails follow by the saddle point, down to false alarms too rare for draws.
 
 Of DoLP alone, Q/I and U/I have normal noise to first order; the density of their length follows by a sum over
 the angle, and the cumulants by Monte Carlo over draws of both hypotheses, the same for every s.
@@ -25,7 +25,7 @@ from scipy.special import log_ndtr, logsumexp, ndtr
 from glintrack.bounds.evidence import (
     Polarization,
     dolp_variance,
-    elements_of,
+    group_elements,
     superpixel_polarization,
 )
 from glintrack.bounds.finder import DIRECTIONS, FOOTPRINTS_M
@@ -35,20 +35,19 @@ from glintrack.sensor import Sensor, dark_noise_e
 
 REACH_ELEMENTS = 14.0  # from a vehicle's silhouette: its shadow
 _CHANGED = 0.05  # of the noise: less is the renderer's rounding
-Changed = tuple[int, Array, Array]  # number of a vehicle, rows and columns of elements
 Cumulants = Callable[[float], float]
 _STEP = 1e-3  # of numerical derivatives of K: its curvature is at least 1e-9 of itself there
-_CERTAIN = math.log(1e-6)  # a miss less probable than this is none
+_MIN_LOG_MISS = math.log(1e-6)  # a less probable miss counts as none
 _LARGEST = 1e4
 _BISECTIONS = 60
 DRAWS = 64  # of each hypothesis and superpixel
-MOST = 24  # superpixels of a vehicle that are used, those that say most: a bound from below
+MAX_SUPERPIXELS = 24  # of a vehicle that are used, those with the largest contrast: a lower bound
 _ANGLES = 24  # a step of 2σ/3: the sum of a Gaussian is good to 1e-15
 _REACH = 8.0  # standard deviations
 
 
-def hypotheses(area_m: tuple[float, float, float, float]) -> float:
-    """Places and directions in which a car may stand in the window: footprints side by side, times eight."""
+def count_hypotheses(area_m: tuple[float, float, float, float]) -> float:
+    """Number of positions and directions of a car in the window: footprints side by side, times eight."""
     west, south, east, north = area_m
     length, width = FOOTPRINTS_M[0]
     return (east - west) * (north - south) / (length * width) * DIRECTIONS
@@ -64,7 +63,7 @@ def ideal_observer(
     false_alarm: float,
     rng: np.random.Generator,
 ) -> tuple[Float[Array, "vehicle"], Float[Array, "vehicle"]]:
-    """P_D and d′ of each vehicle, its place and the background known, noise alone against it.
+    """P_D and d′ of each vehicle with its position and the background known.
 
     Parameters
     ----------
@@ -73,25 +72,40 @@ def ideal_observer(
     without_e, present_e
         Expected electrons of the frame without vehicles and with them. [e]
     nearest
-        From `nearest_vehicle`: whose a change is.
+        Vehicle of each element, from `assign_elements`.
     vehicles
         Ids.
     sensor, false_alarm
         The sensor; the false-alarm probability of one hypothesis.
     rng
-        Draws of `polarized`.
+        Random generator of the draws of DoLP.
     """
-    probability, told = np.zeros(len(vehicles)), np.zeros(len(vehicles))
-    frames, dark_e = (without_e, present_e), dark_noise_e(sensor)
-    changed = list(changed_elements(*frames, nearest, vehicles, dark_e))
-    if group == "dolp":
-        known = _of_dolp(frames, changed, sensor, rng)
-    else:
-        known = _of_elements(frames, changed, group, sensor)
-    for k, cumulants, limit in known:
-        told[k] = detectability(cumulants)
-        probability[k] = detection_probability(cumulants, false_alarm, min(limit, 1e4))
-    return probability, told
+    probability, d_prime = np.zeros(len(vehicles)), np.zeros(len(vehicles))
+    frames, dark_e, full_e = (without_e, present_e), dark_noise_e(sensor), full_electrons(sensor)
+    means = [np.minimum(mean, full_e) for mean in frames]
+    read = [(mean, np.maximum(mean, 0) + dark_e**2) for mean in means]
+    for k, rows, columns in find_changes(*frames, nearest, vehicles, dark_e):
+        if group == "dolp":
+            both = [dolp_of(*one, rows, columns, sensor) for one in read]
+            if not len(both[0].mean):
+                continue
+            cumulants, limit = dolp_cumulants(*both, rng), math.inf
+        else:
+            inside = is_in_group(group, rows, columns, sensor)
+            if not inside.any():
+                continue
+            without, present = (frame[rows[inside], columns[inside]] for frame in frames)
+            cumulants, limit = element_cumulants(Elements(without, present, dark_e, full_e))
+        d_prime[k] = detectability(cumulants)
+        probability[k] = detection_probability(cumulants, false_alarm, min(limit, _LARGEST))
+    return probability, d_prime
+
+
+def dolp_of(mean_e: Array, variance_e2: Array, rows: Array, columns: Array, sensor: Sensor) -> Polarization:
+    """Polarization of the whole superpixels that contain some elements."""
+    superpixels = np.unique(np.stack([rows // sensor.side, columns // sensor.side], axis=1), axis=0)
+    whole = (superpixels < np.array(mean_e.shape) // sensor.side).all(axis=1)
+    return superpixel_polarization(mean_e, variance_e2, sensor, superpixels[whole])
 
 
 def _of_elements(
@@ -121,20 +135,20 @@ def _of_dolp(
             yield k, dolp_cumulants(without, present, rng), math.inf
 
 
-def nearest_vehicle(on: Int[Array, "row column"]) -> Int[Array, "row column"]:
-    """Id of the vehicle whose silhouette is nearest to each element, −1 beyond `REACH_ELEMENTS`.
+def assign_elements(on: Int[Array, "row column"]) -> Int[Array, "row column"]:
+    """Id of the vehicle with the nearest silhouette to each element, −1 beyond `REACH_ELEMENTS`.
 
-    Of shadows that vehicles share each so has its own part. ``on`` is from `frame.vehicles_on`.
+    ``on`` is from `frame.vehicles_on`. Shadows that vehicles share are thus divided between them.
     """
     found = ndimage.distance_transform_edt(on < 0, return_indices=True)
     distance, nearest = cast(tuple[Array, Array], found)  # SciPy's annotation allows None too
     return np.where(distance <= REACH_ELEMENTS, on[tuple(nearest)], -1)
 
 
-def changed_elements(
+def find_changes(
     without_e: Array, present_e: Array, nearest: Array, vehicles: Array, dark_e: float
-) -> Iterator[Changed]:
-    """Number of each vehicle that changes anything, and rows and columns of the elements it changes."""
+) -> Iterator[tuple[int, Array, Array]]:
+    """Row of each vehicle that changes any elements, and rows and columns of these elements."""
     sigma = np.sqrt(np.maximum(without_e, 0) + dark_e**2)
     rows, columns = np.nonzero((np.abs(present_e - without_e) > _CHANGED * sigma) & (nearest >= 0))
     owner = nearest[rows, columns]
@@ -147,17 +161,15 @@ def changed_elements(
             yield k, rows[mine], columns[mine]
 
 
-def is_of(group: str, rows: Array, columns: Array, sensor: Sensor) -> Array:
-    """Whether elements are among those whose own values a group consists of."""
-    places = elements_of(group, sensor)
+def is_in_group(group: str, rows: Array, columns: Array, sensor: Sensor) -> Array:
+    """Return True for each element that belongs to a group."""
     inside = np.zeros((sensor.side, sensor.side), np.bool_)
-    for place in places:
-        inside[place] = True
+    inside[tuple(np.transpose(group_elements(group, sensor)))] = True
     return inside[rows % sensor.side, columns % sensor.side]
 
 
 class Elements(NamedTuple):
-    """Means of what some elements collect without and with a vehicle, and what noise they have.
+    """Expected electrons of some elements without and with a vehicle, and their noise.
 
     Parameters
     ----------
@@ -166,7 +178,7 @@ class Elements(NamedTuple):
     dark_e
         RMS of the noise in the dark: dark current, read, quantizer. [e]
     full_well_e
-        Electrons at which an element stops counting: all above is one outcome. [e]
+        Electrons at which an element saturates: all above is one outcome. [e]
     """
 
     without: Float[Array, "element"]
@@ -202,7 +214,12 @@ def element_cumulants(elements: Elements) -> tuple[Cumulants, float]:
 
 def detectability(cumulants: Cumulants) -> float:
     """d′ of the ideal observer: the root of E₁[T] − E₀[T], which for equal normal noise is √(ΣΔ²/σ²). [1]"""
-    return math.sqrt(max(_inner_slope(cumulants, 1.0, -_STEP) - _inner_slope(cumulants, 0.0, _STEP), 0.0))
+
+    def inner_slope(s: float, step: float) -> float:
+        """K′ from one side: past 0 and 1 K may end at once, where one of the means is dark."""
+        return (4 * cumulants(s + step) - 3 * cumulants(s) - cumulants(s + 2 * step)) / (2 * step)
+
+    return math.sqrt(max(inner_slope(1.0, -_STEP) - inner_slope(0.0, _STEP), 0.0))
 
 
 def detection_probability(cumulants: Cumulants, false_alarm: float, limit: float = _LARGEST) -> float:
@@ -213,7 +230,7 @@ def detection_probability(cumulants: Cumulants, false_alarm: float, limit: float
     cumulants, limit
         From `element_cumulants`, or any K(s) and the s up to which it is finite.
     false_alarm
-        Of one hypothesis, greater than 0 and less than a half.
+        False-alarm probability of one hypothesis, greater than 0 and less than a half. [1]
 
     Raises
     ------
@@ -223,7 +240,7 @@ def detection_probability(cumulants: Cumulants, false_alarm: float, limit: float
     if not 0 < false_alarm < 0.5:
         raise ValueError(f"`false_alarm` must be greater than 0 and less than 0.5, got {false_alarm:g}")
     half = cumulants(0.5)
-    if 2 * half - math.log(false_alarm) < _CERTAIN:  # Chernoff's bound on a miss
+    if 2 * half - math.log(false_alarm) < _MIN_LOG_MISS:  # Chernoff's bound on a miss
         return 1.0
     if half > -1e-12:
         return false_alarm
@@ -246,22 +263,13 @@ def _tail(cumulants: Cumulants, s: float, origin: float) -> float:
         sides = [side for side in (-1, 1) if math.isfinite(cumulants(origin + side * 7 * _STEP))]
         ends = (_tail(cumulants, origin + side * 6 * _STEP, origin) for side in sides)
         return sum(ends) / len(sides)
-    here, threshold = cumulants(s), _slope(cumulants, s)
-    curvature = (cumulants(s + _STEP) - 2 * here + cumulants(s - _STEP)) / _STEP**2
+    here, above, below = cumulants(s), cumulants(s + _STEP), cumulants(s - _STEP)
+    threshold, curvature = (above - below) / (2 * _STEP), (above - 2 * here + below) / _STEP**2
     saddle = s - origin
     w = math.copysign(math.sqrt(max(2 * (saddle * threshold - here), 1e-300)), saddle)
     u = saddle * math.sqrt(max(curvature, 1e-300))
     density = math.exp(-(w**2) / 2) / math.sqrt(2 * math.pi)
     return float(np.clip(ndtr(-w) + density * (1 / u - 1 / w), 0.0, 1.0))
-
-
-def _inner_slope(cumulants: Cumulants, s: float, step: float) -> float:
-    """K′ from one side: past 0 and 1 K may end at once, where one of the means is dark."""
-    return (4 * cumulants(s + step) - 3 * cumulants(s) - cumulants(s + 2 * step)) / (2 * step)
-
-
-def _slope(cumulants: Cumulants, s: float) -> float:
-    return (cumulants(s + _STEP) - cumulants(s - _STEP)) / (2 * _STEP)
 
 
 def dolp_cumulants(without: Polarization, present: Polarization, rng: np.random.Generator) -> Cumulants:
@@ -270,22 +278,21 @@ def dolp_cumulants(without: Polarization, present: Polarization, rng: np.random.
     Parameters
     ----------
     without, present
-        From `polarization`, of the same superpixels.
+        Polarization of the same superpixels without the vehicle and with it.
     rng
-        Draws.
+        Random generator of the draws.
     """
     gap = np.linalg.norm(present.mean, axis=1) - np.linalg.norm(without.mean, axis=1)
-    told = gap**2 / (dolp_variance(without) + dolp_variance(present))
-    kept = np.argsort(-told, kind="stable")[:MOST]
-    both = [Polarization(h.mean[kept], h.covariance[kept]) for h in (without, present)]
-    deviates = rng.standard_normal((2, len(kept), DRAWS, 2))
-    length = np.concatenate([_lengths(*one) for one in zip(both, deviates, strict=True)], axis=1)
-    return _over_draws(*(_log_density(h, length) for h in both))
-
-
-def _over_draws(log0: Float[Array, "superpixel draw"], log1: Float[Array, "superpixel draw"]) -> Cumulants:
-    """K(s) from log densities at draws of both hypotheses in equal parts."""
-    proposal = np.logaddexp(log0, log1) - np.log(2)
+    contrast = gap**2 / (dolp_variance(without) + dolp_variance(present))
+    used = np.argsort(-contrast, kind="stable")[:MAX_SUPERPIXELS]
+    both = [Polarization(h.mean[used], h.covariance[used]) for h in (without, present)]
+    deviates, lengths = rng.standard_normal((2, len(used), DRAWS, 2)), []
+    for of, deviate in zip(both, deviates, strict=True):
+        root = np.linalg.cholesky(of.covariance + 1e-18 * np.eye(2))
+        normal = of.mean[:, None] + np.einsum("nab,ndb->nda", root, deviate)
+        lengths.append(np.linalg.norm(normal, axis=-1))
+    log0, log1 = (_log_density(h, np.concatenate(lengths, axis=1)) for h in both)
+    proposal = np.logaddexp(log0, log1) - np.log(2)  # draws of both hypotheses in equal parts
 
     def cumulants(s: float) -> float:
         exponent = s * log1 + (1 - s) * log0 - proposal
@@ -297,14 +304,6 @@ def _over_draws(log0: Float[Array, "superpixel draw"], log1: Float[Array, "super
     ends = (0.0, 0.0)
     ends = (cumulants(0.0), cumulants(1.0))
     return cumulants
-
-
-def _lengths(
-    of: Polarization, deviates: Float[Array, "superpixel draw 2"]
-) -> Float[Array, "superpixel draw"]:
-    """Lengths of normal vectors."""
-    root = np.linalg.cholesky(of.covariance + 1e-18 * np.eye(2))
-    return np.linalg.norm(of.mean[:, None] + np.einsum("nab,ndb->nda", root, deviates), axis=-1)
 
 
 def _log_density(of: Polarization, length: Array) -> Float[Array, "superpixel draw"]:

@@ -1,9 +1,9 @@
-"""What a frame's elements say of where a vehicle is: Fisher information of its place against noise alone.
+"""Fisher information of a frame on positions of vehicles, with noise alone.
 
-What may show a vehicle is traced anew by 6 × 6 rays, as it is and with every vehicle a step farther east, and
-north: fewer rays than a step holds would make stairs of the edges. With the derivatives ∂μ of what a
-vehicle's elements expect and their variance σ², I = Σ ∂μ ∂μᵀ/σ²; that the variance changes too adds 1/(2σ²)
-of it, less than a thousandth. DoLP is one number a superpixel.
+Elements near vehicles are traced again with 6 × 6 rays: as they are, and with every vehicle a step farther
+east, and north. With the derivatives ∂μ of the elements' expected electrons and their variance σ²,
+I = Σ ∂μ ∂μᵀ/σ². The change of the variance adds 1/(2σ²) of it, less than a thousandth. DoLP is one value per
+superpixel.
 
 References
 ----------
@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.bounds.evidence import dolp_variance, superpixel_polarization
+from glintrack.bounds.evidence import dolp_variance
 from glintrack.bounds.frame import full_electrons
-from glintrack.bounds.ideal_observer import changed_elements, is_of
+from glintrack.bounds.ideal_observer import dolp_of, find_changes, is_in_group
 from glintrack.camera import Pose
 from glintrack.core.arrays import Array
 from glintrack.render import Hits, Observer, elements_near_traffic
@@ -29,23 +29,23 @@ STEP_M = 0.25
 RAYS = 6  # along each side of an element
 
 
-def moved_frames(
+def shift_vehicles(
     observer: Observer,
     snapshot: Snapshot,
     pose: Pose,
     vehicles: Int[Array, "vehicle"],
     planes_of: Callable[[Hits], Array],
 ) -> list[Float[Array, "plane row column"]]:
-    """Light on the elements with some vehicles where they are, a step farther east, and a step farther north.
+    """Light on the elements with some vehicles in place, a step farther east, and a step farther north.
 
     Parameters
     ----------
     observer, snapshot, pose
-        Of the frame.
+        Observer, scene and camera pose of the frame.
     vehicles
-        Ids of those that step.
+        Ids of the vehicles that are moved.
     planes_of
-        Gives the light where some elements, traced anew, saw something else.
+        Function that gives the light with some elements traced again.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def position_information(
     expected_e
         Expected electrons of the frame, with every vehicle `STEP_M` farther east, and farther north. [e]
     nearest, vehicles
-        As for `ideal_observer`: whose a change is.
+        As for `ideal_observer`.
     sensor
         The sensor.
     """
@@ -99,26 +99,16 @@ def position_information(
     out = np.zeros((len(vehicles), 2, 2))
     frames = [(e, np.maximum(e, 0) + dark_e**2) for e in (present, east, north)]
     farthest = np.where(np.abs(east - present) > np.abs(north - present), east, north)
-    for k, rows, columns in changed_elements(present, farthest, nearest, vehicles, dark_e):
+    for k, rows, columns in find_changes(present, farthest, nearest, vehicles, dark_e):
         if group == "dolp":
-            slope, variance = _dolp_slope(frames, rows, columns, sensor)
+            of = [dolp_of(*frame, rows, columns, sensor) for frame in frames]
+            lengths = [np.linalg.norm(one.mean, axis=1) for one in of]
+            slope, variance = np.stack([one - lengths[0] for one in lengths[1:]]), dolp_variance(of[0])
         else:
-            kept = is_of(group, rows, columns, sensor)
-            at = rows[kept], columns[kept]
+            inside = is_in_group(group, rows, columns, sensor)
+            at = rows[inside], columns[inside]
             slope = np.stack([e[at] - present[at] for e in (east, north)])
             variance = frames[0][1][at]
         slope = slope / STEP_M
         out[k] = np.einsum("an,bn,n->ab", slope, slope, 1 / variance)
     return out
-
-
-def _dolp_slope(
-    frames: list[tuple[Array, Array]], rows: Array, columns: Array, sensor: Sensor
-) -> tuple[Array, Array]:
-    """Change of the superpixels' DoLP over either step, and its variance. [1]"""
-    side, shape = sensor.side, frames[0][0].shape
-    whole = (rows < shape[0] // side * side) & (columns < shape[1] // side * side)
-    chosen = np.unique(np.stack([rows[whole] // side, columns[whole] // side], axis=1), axis=0)
-    of = [superpixel_polarization(*frame, sensor, chosen) for frame in frames]
-    present, east, north = (np.linalg.norm(one.mean, axis=1) for one in of)
-    return np.stack([east - present, north - present]), dolp_variance(of[0])

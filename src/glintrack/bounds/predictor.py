@@ -1,8 +1,8 @@
-"""The background of a frame, predicted from past frames: one frozen predictor, whatever detector flies.
+"""Fixed predictor of a frame's background from past frames, the same for every detector.
 
-Each element's point of the scene is projected into the past frames; of its own kind's 3 × 3 neighbours there
-a plane in row and column is fitted by least squares, weighed by distance and age, and read at the point. Its
-residuals say how far past frames agree, which is the prediction's own error.
+Each element's point of the scene is projected into the past frames. A plane in row and column is fitted there
+to its 3 × 3 neighbours of the same kind by least squares, weighed by distance and age. Its value at the point
+is the prediction; its residuals give the variance of the error.
 """
 
 import math
@@ -20,23 +20,23 @@ from glintrack.core.parallel import over_rows
 PAST = 8  # frames
 NEAR_ELEMENTS = 0.8  # RMS distance at which a neighbour's weight falls to e^(−½)
 AGE_S = 5.0
-_LEAST = 6  # samples
-_RIDGE = 0.02  # of the slopes, against samples that all lie on one line
+_MIN_SAMPLES = 6
+_RIDGE = 0.02  # of the slopes, against samples on one line
 
 
 class PastFrame(NamedTuple):
-    """What is known of one earlier frame.
+    """Earlier frame for the prediction.
 
     Parameters
     ----------
     electrons
-        Expected of each element, without noise. [e]
+        Expected electrons of each element, without noise. [e]
     occluded
-        Elements that a vehicle or its shadow touches: left out.
+        Elements with a vehicle or its shadow, which are not used.
     pose
-        True or reported.
+        True or reported pose.
     time_s
-        When. [s]
+        Time of the frame. [s]
     """
 
     electrons: Float[Array, "row column"]
@@ -62,13 +62,13 @@ def predict(
     past
         Earlier frames; `PAST` of them at most are used, the latest.
     points
-        Of the scene, which the elements look at. NaN where none is known. [m]
+        Points of the scene that the elements see; NaN where not known. [m]
     camera
         The camera.
     side
-        Elements along a superpixel: neighbours of one kind lie so far apart.
+        Elements along a superpixel: the spacing of elements of one kind.
     time_s
-        Of the frame. [s]
+        Time of the frame. [s]
     """
     past = sorted(past, key=lambda p: p.time_s)[-PAST:]
     shape = points.shape[:2]
@@ -90,7 +90,7 @@ def predict(
 
 
 class _Views(NamedTuple):
-    """Where past frames were taken from, and through what: the numbers of `camera.project`."""
+    """Poses and projection of past frames, as `camera.project` uses them."""
 
     position: Float[Array, "frame 3"]
     rotation: Float[Array, "frame 3 3"]
@@ -129,13 +129,13 @@ def _predict(start, stop, electrons, occluded, points, views, age_weight, side, 
                         samples[0, n], samples[1, n], samples[2, n] = electrons[k, r, c], r - row, c - column
                         samples[3, n] = age_weight[k] * down[a + 1] * across[b + 1]
                         n += 1
-            if n >= _LEAST:
+            if n >= _MIN_SAMPLES:
                 out[i, j], variance[i, j] = _plane(samples, n)
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _place(point, views, k):
-    """Where a past frame images a point (`camera.project`), NaN at or behind the lens; single precision."""
+    """Row and column of a point in a past frame (`camera.project`), NaN behind the lens; single precision."""
     turn, lens = views.rotation[k], views.position[k]
     x, y, z = point[0] - lens[0], point[1] - lens[1], point[2] - lens[2]
     ahead = -(turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z)

@@ -10,21 +10,21 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack import metrics
-from glintrack.bounds.evidence import group_planes, groups_of
+from glintrack.bounds.evidence import element_groups, group_planes
 from glintrack.bounds.finder import cell_places, find_vehicles, ground_cells
 from glintrack.bounds.frame import (
     ExposedFrame,
     ObservedFrame,
     element_points,
-    expected_electrons,
     full_electrons,
-    measured_electrons,
-    touched,
+    mean_electrons,
+    sample_electrons,
+    traffic_mask,
     vehicles_on,
 )
-from glintrack.bounds.ideal_observer import hypotheses, ideal_observer, nearest_vehicle
+from glintrack.bounds.ideal_observer import assign_elements, count_hypotheses, ideal_observer
 from glintrack.bounds.loss_budget import FrameBudget, order_observers, score_detections
-from glintrack.bounds.position import moved_frames, position_information
+from glintrack.bounds.position import position_information, shift_vehicles
 from glintrack.bounds.predictor import PAST, PredictedBackground, predict
 from glintrack.camera import project
 from glintrack.core.arrays import Array
@@ -34,94 +34,87 @@ from glintrack.render import Hits, Observer
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor, dark_noise_e
 
-UNPOLARIZED = ("dolp", "all")  # groups that polarized light changes
-PLACED_EVERY = 4  # measured frames from one on which places are told to the next: it costs a third of one
+POSITIONS_EVERY = 4  # interval of the measured frames with information on positions: a third of the cost
 _TALL_M = 2.2
-_BESIDE_M = 12.0  # of the window: half a template, and what the navigator may err by
+_BORDER_M = 12.0  # about the window: half a template, and the navigation error
 
 
 @dataclass
 class BudgetRecorder:
-    """Keeps a few past frames, and what each measured frame says of each group of elements.
+    """Measure the stages down to the reported pose on some frames, for each group of elements.
 
     Parameters
     ----------
     observer, sensor
-        Of the flight.
+        Observer and sensor of the flight.
     noise
-        Generator of a frame's own noise, by its index.
+        Random generator of a frame's noise, by the frame's index.
     seed
-        Of the draws of the ideal observer of DoLP.
-    every, false_per_frame, with_unpolarized
-        As the ``[bound]`` table of a case has them.
+        Seed of the ideal observer of DoLP.
+    every, false_per_frame
+        As in the ``[bound]`` table of a case.
+    with_unpolarized
+        Whether to measure with light of S1 = S2 = 0 too.
     frames, unpolarized
-        By group, in order of time; the latter under light with S1 = S2 = 0. Of use after `finish`.
+        Results by group, in order of time; complete after `finish`.
     """
 
     observer: Observer
     sensor: Sensor
     noise: Callable[[int], np.random.Generator]
-    seed: int = 0
-    every: int = 5
-    false_per_frame: float = 20.0
+    seed: int
+    every: int
+    false_per_frame: float
     with_unpolarized: bool = False
     frames: dict[str, list[FrameBudget]] = field(default_factory=dict)
     unpolarized: dict[str, list[FrameBudget]] = field(default_factory=dict)
     _measured: int = 0
     _past: deque[ExposedFrame] = field(default_factory=lambda: deque(maxlen=PAST))
-    _beside: BackgroundTask = field(default_factory=BackgroundTask)
-
-    def measures(self, index: int) -> bool:
-        """Whether the loss budget is measured on this frame."""
-        return self.every > 0 and index > 0 and index % self.every == 0
+    _task: BackgroundTask = field(default_factory=BackgroundTask)
 
     def take(self, frame: ObservedFrame) -> None:
-        """Take in the next frame, and measure the loss budget if it is one of those."""
-        if self.every == 0:
-            return
-        if self.measures(frame.index):  # beside the flight, which goes on
-            placed = not self._measured % PLACED_EVERY
+        """Add the next frame, and measure it in the background if it is one of those."""
+        if frame.index > 0 and frame.index % self.every == 0:
+            with_positions = not self._measured % POSITIONS_EVERY
             self._measured += 1
-            self._beside.begin(partial(self._measure, frame, tuple(self._past), placed))
+            self._task.begin(partial(self._measure, frame, tuple(self._past), with_positions))
         tall = frame.truth["vehicle"].values[frame.truth["height"].values > _TALL_M]
         sun = self.observer.sky.sun_direction
-        occluded = touched(vehicles_on(frame.hits), tall, self.observer.camera, frame.true_pose, sun)
-        kept = frame.time_s, frame.true_pose, frame.reported_pose, frame.planes, occluded
-        self._past.append(ExposedFrame(*kept))
+        occluded = traffic_mask(vehicles_on(frame.hits), tall, self.observer.camera, frame.true_pose, sun)
+        self._past.append(
+            ExposedFrame(frame.time_s, frame.true_pose, frame.reported_pose, frame.planes, occluded)
+        )
 
     def finish(self) -> None:
         """Wait for the frame that is being measured, before `frames` are read."""
-        self._beside.wait()
+        self._task.wait()
 
-    def _measure(self, frame: ObservedFrame, past: tuple[ExposedFrame, ...], placed: bool) -> None:
-        """Every stage down to the reported pose, for each group, with the light as it is and unpolarized."""
+    def _measure(self, frame: ObservedFrame, past: tuple[ExposedFrame, ...], with_positions: bool) -> None:
         hits, camera = frame.hits, self.observer.camera
         snapshot = self.observer.city.at(frame.time_s)
         bare = self.observer.trace_without_traffic(snapshot, frame.true_pose, hits)
         without = frame.planes_with(bare)
         below = seen_ground(self.observer.city.terrain, camera, frame.reported_pose)
         points = self._near(element_points(hits, camera, frame.true_pose, bare)), self._near(below)
-        begin, nearest = self._vehicles(frame, snapshot), nearest_vehicle(vehicles_on(hits))
+        begin, nearest = self._vehicles(frame, snapshot), assign_elements(vehicles_on(hits))
         moved = []
-        if placed:
+        if with_positions:
             ids = begin().vehicles["vehicle_id"]
-            moved = moved_frames(self.observer, snapshot, frame.true_pose, ids, frame.planes_with)
-        for polarized, kept in ((True, self.frames), (False, self.unpolarized)):
-            groups = [g for g in groups_of(self.sensor) if polarized or g in UNPOLARIZED]
-            if not polarized and not self.with_unpolarized:
-                continue
-            known = expected_electrons(without, self.sensor, polarized)
+            moved = shift_vehicles(self.observer, snapshot, frame.true_pose, ids, frame.planes_with)
+        for polarized in (True, False) if self.with_unpolarized else (True,):
+            groups = [g for g in element_groups(self.sensor) if polarized or g != "pan"]
+            known = mean_electrons(without, self.sensor, polarized)
             light = _Electrons(
                 known=known,
-                present=expected_electrons(frame.planes, self.sensor, polarized),
-                moved=[expected_electrons(planes, self.sensor) for planes in moved if polarized],
-                measured=measured_electrons(frame.planes, self.sensor, self.noise(frame.index), polarized),
+                present=mean_electrons(frame.planes, self.sensor, polarized),
+                moved=[mean_electrons(planes, self.sensor) for planes in moved if polarized],
+                measured=sample_electrons(frame.planes, self.sensor, self.noise(frame.index), polarized),
                 backgrounds=self._backgrounds(frame, past, known, points, polarized),
             )
             of_group = partial(self._of_group, begin, nearest, frame.truth, light)
             found = dict(zip(groups, map_threads(of_group, groups), strict=True))
             for group, one in found.items():
-                kept.setdefault(group, []).append(one)
+                (self.frames if polarized else self.unpolarized).setdefault(group, []).append(one)
             if {"dolp", "all"} <= set(groups):
                 order_observers(found)
 
@@ -133,10 +126,10 @@ class BudgetRecorder:
         light: "_Electrons",
         group: str,
     ) -> FrameBudget:
-        """The stages of one group: the ideal observer's, and templates fitted against each background."""
+        """Stages of one group: the ideal observer, and templates fitted against each background."""
         one, area_m = begin(), self.observer.city.extent_m
         ids = one.vehicles["vehicle_id"]
-        false_alarm = min(self.false_per_frame / hypotheses(area_m), 0.4)
+        false_alarm = min(self.false_per_frame / count_hypotheses(area_m), 0.4)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(one.index, 18)))
         one.probability, one.detectability = ideal_observer(
             group, light.known, light.present, nearest, ids, self.sensor, false_alarm, rng
@@ -144,7 +137,8 @@ class BudgetRecorder:
         if light.moved:
             one.information = position_information(group, light.moved, nearest, ids, self.sensor)
         middle = np.stack([truth["east"].values, truth["north"].values], axis=1)
-        mine = _rows_of(truth["vehicle"].values, ids)
+        order = np.argsort(truth["vehicle"].values, kind="stable")
+        mine = order[np.searchsorted(truth["vehicle"].values[order], ids)]
         for stage, (background, cells) in light.backgrounds.items():
             planes = group_planes(group, light.measured, background, self.sensor)
             found = find_vehicles(planes, cells, area_m, self.observer.sky.sun_direction)
@@ -153,12 +147,11 @@ class BudgetRecorder:
         return one
 
     def _near(self, place: Float[Array, "row column 3"]) -> Float[Array, "row column 3"]:
-        """What elements see, NaN where that is so far from the window that nothing is looked for. [m]"""
+        """Points that elements see, NaN far outside the window. [m]"""
         west, south, east, north = self.observer.city.extent_m
-        x, y = place[..., 0], place[..., 1]
-        near = (x > west - _BESIDE_M) & (x < east + _BESIDE_M)
-        near &= (y > south - _BESIDE_M) & (y < north + _BESIDE_M)
-        return np.where(near[..., None], place, np.nan)
+        low, high = np.array([west, south]) - _BORDER_M, np.array([east, north]) + _BORDER_M
+        near = ((place[..., :2] > low) & (place[..., :2] < high)).all(axis=-1, keepdims=True)
+        return np.where(near, place, np.nan)
 
     def _backgrounds(
         self,
@@ -168,10 +161,7 @@ class BudgetRecorder:
         points: tuple[Array, ...],
         polarized: bool,
     ) -> dict[str, tuple[PredictedBackground, Array]]:
-        """Known, predicted with true heights and poses, and with the reported ones and the terrain.
-
-        With where the finder's cells are seen from the pose that each goes by.
-        """
+        """Backgrounds by stage, each with the places of the finder's cells in the frame at its pose."""
         dark2, sensor, full = dark_noise_e(self.sensor) ** 2, self.sensor, full_electrons(self.sensor)
         true_cells, reported_cells = (
             cell_places(self.observer.camera, pose, self._ground_m, self.observer.city.extent_m)
@@ -180,7 +170,7 @@ class BudgetRecorder:
         read = np.minimum(known, full)
         out = {"known_background": (PredictedBackground(read, np.maximum(read, 0) + dark2), true_cells)}
         before = [
-            np.minimum(expected_electrons(p.planes, sensor, polarized), full).astype(np.float32) for p in past
+            np.minimum(mean_electrons(p.planes, sensor, polarized), full).astype(np.float32) for p in past
         ]
         for stage, reported in (("predicted_background", False), ("reported_pose", True)):
             seen = [p.past(electrons, reported) for p, electrons in zip(past, before, strict=True)]
@@ -201,7 +191,7 @@ class BudgetRecorder:
         return on_ground(city.terrain, cells)[:, 2].reshape(len(y), len(x))
 
     def _vehicles(self, frame: ObservedFrame, snapshot: Snapshot) -> Callable[[], FrameBudget]:
-        """Begin a loss budget: the movers of the window, and what the visible ones are."""
+        """Function that starts a frame's budget, with the movers of the window."""
         city, truth = self.observer.city, frame.truth
         movers = metrics.is_moving(truth) & metrics.is_in_window(truth, city.extent_m)
         visible = movers & metrics.is_visible(truth)
@@ -211,14 +201,15 @@ class BudgetRecorder:
         pixel = project(camera, frame.true_pose, middle)
         with np.errstate(invalid="ignore"):
             framed = ((pixel >= -0.5) & (pixel <= np.array([camera.rows, camera.columns]) - 0.5)).all(axis=1)
-        ids = truth["vehicle"].values[visible]
+        ids, names = truth["vehicle"].values[visible], city.materials["material"].values
+        paints = dict(zip(snapshot.vehicle_id.tolist(), snapshot.paint.tolist(), strict=True))
         rows = {
             "vehicle_id": ids,
             "length": truth["length"].values[visible],
             "speed": np.hypot(truth["east_speed"].values, truth["north_speed"].values)[visible],
             "visible_fraction": truth["visible_fraction"].values[visible],
             "sunlit": _sunlit(frame.hits, ids),
-            "paint": _paints(snapshot, city.materials["material"].values, ids),
+            "paint": np.array([str(names[paints[i]]) if i in paints else "" for i in ids.tolist()], object),
         }
         return partial(
             FrameBudget,
@@ -235,10 +226,7 @@ class BudgetRecorder:
 
 @dataclass(frozen=True)
 class _Electrons:
-    """Electrons of a frame: without vehicles, with them, with them moved, as measured; and the backgrounds.
-
-    ``backgrounds`` has by stage what the finder compares with, and where its cells are seen.
-    """
+    """Electrons of a frame without vehicles, with them, with them moved, as measured; and backgrounds."""
 
     known: Array
     present: Array
@@ -247,29 +235,14 @@ class _Electrons:
     backgrounds: dict[str, tuple[PredictedBackground, Array]]
 
 
-def _rows_of(ids: Array, wanted: Array) -> Array:
-    """Index of each wanted id among ids that are all different."""
-    order = np.argsort(ids, kind="stable")
-    return order[np.searchsorted(ids[order], wanted)]
-
-
 def _sunlit(hits: Hits, ids: Array) -> Array:
-    """Mean part of the sun's light that arrives on what is seen of each vehicle; 0 if nothing is. [1]"""
-    met = hits.vehicle_id >= 0
-    order = np.sort(ids)
-    where = np.clip(np.searchsorted(order, hits.vehicle_id[met]), 0, max(len(order) - 1, 0))
-    if not len(order):
+    """Mean share of the sun's light on the visible part of each vehicle; 0 if nothing is visible. [1]"""
+    if not len(ids):
         return np.zeros(0)
+    order, met = np.sort(ids), hits.vehicle_id >= 0
+    where = np.clip(np.searchsorted(order, hits.vehicle_id[met]), 0, len(order) - 1)
     same = order[where] == hits.vehicle_id[met]
     weight = hits.weight[met][same]
     part = np.bincount(where[same], weight, minlength=len(order))
     light = np.bincount(where[same], weight * hits.sun_visible[met][same], minlength=len(order))
     return (light / np.maximum(part, 1e-9))[np.searchsorted(order, ids)]
-
-
-def _paints(snapshot: Snapshot, names: Array, ids: Array) -> Array:
-    """Name of each vehicle's paint."""
-    known = dict(
-        zip(np.asarray(snapshot.vehicle_id).tolist(), np.asarray(snapshot.paint).tolist(), strict=True)
-    )
-    return np.array([str(names[known[int(i)]]) if int(i) in known else "" for i in ids], dtype=object)

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from glintrack.bounds.run import list_stages, measure_bounds
+from glintrack.bounds.run import measure_bounds
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
 from glintrack.cli.options import CaseArgument, check_file, command_app
@@ -51,7 +51,7 @@ def bound(
 
 
 def print_loss_budgets(console: Console, found: dict[str, xr.Dataset]) -> None:
-    """A table a group of elements: each stage's share of the movers and of the visible ones."""
+    """Print a table of each group of elements: share of the movers and of the visible ones at each stage."""
     for group, one in found.items():
         few, half = one.attrs["d_prime_5"], one.attrs["d_prime_50"]
         table = Table(
@@ -59,11 +59,16 @@ def print_loss_budgets(console: Console, found: dict[str, xr.Dataset]) -> None:
             f"frame, d′ of 95 % of the vehicles above {few:.0f}, of half above {half:.0f}",
             title_justify="left",
         )
-        headings = ("stage", "of all movers", "of visible", "of all, S1 = S2 = 0")
-        shown = headings if "unpolarized" in one else headings[:3]
-        for heading in shown:
-            table.add_column(heading, justify="left" if heading == "stage" else "right")
-        for stage, *shares in list_stages(one):
-            table.add_row(stage, *("–" if v != v else f"{v:.3f}" for v in shares[: len(shown) - 1]))
+        headings = {
+            "of_moving": "of all movers",
+            "of_visible": "of visible",
+            "unpolarized": "of all, S1 = S2 = 0",
+        }
+        shown = {name: heading for name, heading in headings.items() if name in one}
+        table.add_column("stage")
+        for heading in shown.values():
+            table.add_column(heading, justify="right")
+        for stage, *shares in one[[*shown]].to_dataframe().dropna(subset="of_moving").itertuples():
+            table.add_row(str(stage), *("–" if v != v else f"{v:.3f}" for v in shares))
         console.print(table)
         console.print(format_accuracy(one.attrs), soft_wrap=True)
