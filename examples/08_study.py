@@ -69,7 +69,7 @@ work = Path(tempfile.mkdtemp())
 (work / "few_rows.toml").write_text(TEXT, encoding="utf-8")
 plan, folder = read_plan(work / "few_rows.toml"), StudyFolder(work / "study")
 print(f"{len(plan.points)} points of the design, {len(plan.cases)} cases")
-with folder.opened(plan), serial() as pool:
+with folder.open(plan), serial() as pool:
     report = run_study(plan, folder, pool, cache=work / "hits")
     write_results(plan, folder)
 print(

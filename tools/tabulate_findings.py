@@ -24,7 +24,7 @@ ESTIMATES = (  # columns of an estimate and of its interval
     ("effect", "low", "high"),
     ("score", "low", "high"),
     ("tau", "low", "high"),
-    ("held", "held_low", "held_high"),
+    ("coverage", "coverage_low", "coverage_high"),
 )
 INTERVAL = re.compile(r"([+−]?\d+\.?\d*) \(([+−]?\d+\.?\d*) … ([+−]?\d+\.?\d*)\)")
 

@@ -115,7 +115,16 @@ def simulate(
             radiance = keep_frames(smear(light, motion))
             planes = light_on_elements(radiance(sensor.channels).values, sensor)
             measured = read_out(planes, sensor, frame_rngs(case.seed, k).noise)  # for all the same
-            true_frame = TrueFrame(sensor, true_pose, reported_pose, motion, hits, light, planes, truth)
+            true_frame = TrueFrame(
+                sensor=sensor,
+                true_pose=true_pose,
+                reported_pose=reported_pose,
+                motion=motion,
+                hits=hits,
+                light=light,
+                planes=planes,
+                truth=truth,
+            )
             turned, pictures = {}, {}
             for channel, loop in loops.items():
                 answer = partial(serve_spectra, k, radiance, reported_pose)
@@ -140,14 +149,14 @@ def simulate(
                     served, spectra = answer(ambiguous)
                     clock.lap("sensor")
                 state, queries = track.step(loop.state, seen, spectra, column_of)  # the feedback edge
-                tracks = track.report(state)  # at once; `Loop.turned` may tell them late
+                tracks = track.report(state)  # without a lag; `Loop.advance` may report them later
                 clock.lap("track")
                 score = metrics.score_epoch(tracks, truth, city.extent_m, time_s=t)
                 clock.lap("score")
                 quality = judge(light, image, spectra, served, true_pose, reported_pose) if judge else None
                 clock.lap("quality")
                 known = truth, city.extent_m
-                turned[channel] = loop.turned(state, queries, tracks, score, known, served, image, quality)
+                turned[channel] = loop.advance(state, queries, tracks, score, known, served, image, quality)
                 loops[channel] = replace(loop, state=state)  # an interrupt wants the record before it alone
                 if callback is not None:
                     turn = (image, served, tracks, score, spectra, track.detections(state))
@@ -232,7 +241,8 @@ def _loops(
         loops = ", ".join(trackers)
         raise ValueError(f"`detectors` must name loops of the flight ({loops}), got {unknown[0]!r}")
     return {
-        name: Loop.begin(design, case.seed, roads, detectors.get(name)) for name, design in trackers.items()
+        name: Loop(track.start(design, case.seed, roads, detectors.get(name)))
+        for name, design in trackers.items()
     }
 
 
@@ -345,7 +355,16 @@ def true_frame_at(
     motion = image_motion(sensor.camera, flight.pose, time_s, 1e-3 * sensor.design.integration_time_ms)
     planes = light_on_elements(smear(lit.light, motion)(sensor.channels).values, sensor)
     reported_pose = navigate(lit.pose, navigation_error)
-    return TrueFrame(sensor, lit.pose, reported_pose, motion, lit.hits, lit.light, planes, lit.truth)
+    return TrueFrame(
+        sensor=sensor,
+        true_pose=lit.pose,
+        reported_pose=reported_pose,
+        motion=motion,
+        hits=lit.hits,
+        light=lit.light,
+        planes=planes,
+        truth=lit.truth,
+    )
 
 
 def with_visibility(truth: xr.Dataset, vehicle_id: Array, seen: Array) -> xr.Dataset:

@@ -18,7 +18,6 @@ COMPILED = ("njit", "vectorize")
 # "module.name" of a function or a class that is made, or a class's name: still to be mended; empty it
 OPEN = {
     "case.build.FrameView",
-    "loop.TrueFrame",
     "render.rays.bvh._instances",
     "render.rays.bvh._mesh_tree",
     "track.association.hypotheses.Branches",

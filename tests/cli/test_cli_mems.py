@@ -110,6 +110,6 @@ def test_infinite_numbers_reach_no_model(option, design, tmp_path, monkeypatch):
 
 def test_a_mirror_turns_light_by_twice_its_tilt():
     down = np.array([0.0, -1.0])
-    away = plot_devices.mirrored(down, 0.05)
+    away = plot_devices.reflect(down, 0.05)
     assert np.arctan2(-away[0], away[1]) == pytest.approx(0.1)
-    np.testing.assert_allclose(plot_devices.mirrored(down, 0.0), [0, 1], atol=1e-15)
+    np.testing.assert_allclose(plot_devices.reflect(down, 0.0), [0, 1], atol=1e-15)

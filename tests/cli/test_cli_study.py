@@ -109,14 +109,14 @@ def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, capsys
 
 def test_an_axis_that_changes_the_field_is_told_before_it_is_flown(tmp_path):
     told = invoke(write_study(tmp_path, TWELVE), "-o", tmp_path / "out", "--dry-run")
-    said = "`sensor.pitch_um` changes the field as well"
+    said = "`sensor.pitch_um` changes the field too"
     assert said in told.output and "constraints.constant_field = true" in told.output
     held = write_study(tmp_path, TWELVE.replace("[axes]", "[constraints]\nconstant_field = true\n[axes]"))
     assert said not in invoke(held, "-o", tmp_path / "out", "--dry-run").output
 
 
 def test_flights_too_short_to_say_anything_are_told_before_they_are_flown(tmp_path):
-    said = "a flight of 2 frames at 2 Hz says little of a tracker"
+    said = "a flight of 2 frames at 2 Hz is too short for a tracker"
     short = TWELVE.replace("[axes]", "[base]\nflight.frames = 2\n[axes]")
     assert said in invoke(write_study(tmp_path, short), "-o", tmp_path / "out", "--dry-run").output
     enough = TWELVE.replace("[axes]", "[base]\nflight.frames = 12\n[axes]")

@@ -45,7 +45,7 @@ def _write_study(path: Path) -> None:
     """A finished study of cases that cost nothing."""
     scratch = path.with_name(f"{path.name}-made-from")
     plan, folder = read_plan(write_study(scratch, TWELVE)), StudyFolder(path)
-    with folder.opened(plan), serial() as pool:
+    with folder.open(plan), serial() as pool:
         run_study(plan, folder, pool, scratch, fly=cheap)
         write_results(plan, folder)
 

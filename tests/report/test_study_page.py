@@ -25,7 +25,7 @@ def folder(tmp_path):
     # no plan takes a name with html in it, but a folder of somebody else's can hold one
     plan = replace(plan, design=plan.design.model_copy(update={"name": "<b>twelve</b>"}))
     (tmp_path / "cache").mkdir()
-    with folder.opened(plan), serial() as pool:
+    with folder.open(plan), serial() as pool:
         run_study(plan, folder, pool, tmp_path / "cache", fly=cheap)
         write_results(plan, folder)
     return folder.path
@@ -58,7 +58,7 @@ def test_every_finished_study_is_drawn(tmp_path, labels):
     plan = read_plan(write_study(tmp_path, 'design = "list"\n' + text))
     folder = StudyFolder(tmp_path / "study")
     (tmp_path / "cache").mkdir()
-    with folder.opened(plan), serial() as pool:
+    with folder.open(plan), serial() as pool:
         run_study(plan, folder, pool, tmp_path / "cache", fly=cheap)
         write_results(plan, folder)
     html = build_study_page(folder.path, tmp_path)

@@ -13,7 +13,7 @@ from glintrack import label_frame
 from glintrack.ortho import ground_grid, rectify_array
 from glintrack.render import build_tracer, build_vehicle_tracer
 from glintrack.render.vehicles import PARKED_ID
-from glintrack.results.epoch import BOX_COLUMNS, Imaged, label_mask, vehicle_boxes
+from glintrack.results.epoch import BOX_COLUMNS, SceneView, label_mask, vehicle_boxes
 from glintrack.results.run import run
 from tests.bounds.test_run import case
 from tests.render.test_vehicles import aslant, scene_of
@@ -46,7 +46,7 @@ def imaged(reported=None):
         vehicle_tracer=build_vehicle_tracer(scene),
     )
     truth = truth_of([5, 6], [9.0, 0.2], [0.5, 1.0])
-    return Imaged(observer, scene, truth, pose, reported or replace(pose, kind="reported"))
+    return SceneView(observer, scene, truth, pose, reported or replace(pose, kind="reported"))
 
 
 def test_rectified_boxes_lean_away_from_the_camera_by_their_height():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from glintrack.results.figures import HIGHEST_DOLP
+from glintrack.results.figures import MAX_DOLP
 from glintrack.results.film import KINDS, Film, colour_pictures
 from tests.report.made import image
 
@@ -16,7 +16,7 @@ RGB = np.full((40, 60, 3), 0.5)
 def test_colours_are_those_of_the_scales():
     shown = image()
     shown["dolp"][:] = 0.0
-    shown["dolp"][5, 5] = 2 * HIGHEST_DOLP
+    shown["dolp"][5, 5] = 2 * MAX_DOLP
     pictures = colour_pictures(shown, (10.0, 90.0))
     assert pictures["dolp"][5, 5].tolist() == [253, 231, 37]  # viridis ends in this yellow
     assert pictures["dolp"][9, 9].tolist() == [68, 1, 84]

@@ -29,7 +29,7 @@ def test_the_time_left_is_honest_from_a_tenth_on(clock, most):
     pace = FlightPace(len(ends))
     ratios = []
     for frame, at_s in enumerate(ends):
-        pace.ended(frame, at_s)
+        pace.add(frame, at_s)
         left = pace.left_s()
         if frame + 1 >= 0.1 * len(ends) and left is not None:
             ratios.append(left / (whole - at_s))
@@ -38,7 +38,7 @@ def test_the_time_left_is_honest_from_a_tenth_on(clock, most):
 
 def test_before_two_frames_nothing_is_known():
     pace = FlightPace(10)
-    pace.ended(0, 40.0)
+    pace.add(0, 40.0)
     assert pace.left_s() is None
-    pace.ended(1, 42.0)
+    pace.add(1, 42.0)
     assert pace.left_s() == pytest.approx(2.0 * (8 + 2.5 + 0.5))  # what the first frame took has no part

@@ -64,12 +64,12 @@ def test_a_flight_that_ended_before_its_first_frame_lacks_no_film(folder):
         (
             "film/film.json",
             '{"kinds": ["pan"], "frames": [0], "times_s": [0], "extent_m": [0, 0, 0, 0]}',
-            "extent is empty",
+            "must not be empty or a line",
         ),
         (
             "film/film.json",
             '{"kinds": ["pan"], "frames": [' + "9" * 300 + '], "times_s": [0], "extent_m": [0, 0, 1, 1]}',
-            "number is larger than any",
+            "film.json cannot be read",
         ),
         ("film/pan_00000.webp", "RIFF", "1 of the film's 12 pictures are missing or broken"),
         ("pictures/sky.png", "\x89PNG", "pictures/sky.png is broken and not shown"),

@@ -31,7 +31,7 @@ def table(tmp_path, name, pool):
     """Results of four cheap cases."""
     plan, folder = read_plan(write_study(tmp_path, FOUR)), StudyFolder(tmp_path / name)
     (tmp_path / "scratch").mkdir(exist_ok=True)
-    with folder.opened(plan), pool as workers:
+    with folder.open(plan), pool as workers:
         assert run_study(plan, folder, workers, tmp_path / "scratch", cheap).finished == 4
         return write_results(plan, folder)
 

@@ -191,7 +191,7 @@ def small_study(folder, cache, before=lambda: None):
     """A real study of two small cases of one geometry; its table and how it went."""
     plan = read_plan(write_study(folder, PAIR, base=SMALL))
     results = StudyFolder(folder / "out")
-    with results.opened(plan), serial() as pool:
+    with results.open(plan), serial() as pool:
         before()
         report = run_study(plan, results, pool, cache)
         return write_results(plan, results), report
@@ -224,7 +224,7 @@ def test_two_studies_on_one_cache_at_once_give_what_one_without_gives(three_cars
 def test_a_case_that_reads_its_hits_scores_what_one_that_traces_does(three_cars, tmp_path):
     """To the last bit: a boost of DoLP must not move pan because its case came second."""
     plan = read_plan(write_study(tmp_path, "[axes]\ntrack.detect.dolp_boost = [1, 5]\n", base=SMALL))
-    with StudyFolder(tmp_path / "out").opened(plan) as folder, serial() as pool:
+    with StudyFolder(tmp_path / "out").open(plan) as folder, serial() as pool:
         report = run_study(plan, folder, pool, tmp_path / "cache")
         table = write_results(plan, folder)
     assert (report.frames_traced, report.frames_read) == (6, 6)

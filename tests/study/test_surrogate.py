@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from glintrack.study.analysis import continuous, fit_surface, held_out, surrogates
+from glintrack.study.analysis import continuous_axes, cross_validate, fit_surface, surrogates
 
 AXES, LOG = ("pitch", "angle"), ("pitch",)
 
@@ -73,7 +73,7 @@ def test_replicates_are_left_out_together():
     at, score = np.repeat(at, 2, axis=0), np.repeat(score, 2)
     design = np.repeat(np.arange(40), 2)
     score[design == 7] += 500
-    left = held_out(AXES, at, score, design, LOG)
+    left = cross_validate(AXES, at, score, design, LOG)
     assert np.all(np.abs(left[design == 7, 0] - score[design == 7]) > 400)
 
 
@@ -84,14 +84,14 @@ def test_a_table_says_how_well_flights_left_out_are_predicted():
     told = check.iloc[0]
     assert told["flights"] == 60 and told["terms"] == 6
     assert 3 < told["error"] < 6 < told["spread"]  # the noise of 4, and what six coefficients add
-    assert told["held_low"] <= 0.9 <= told["held_high"]
+    assert told["coverage_low"] <= 0.9 <= told["coverage_high"]
     pitch = lines[lines["axis"] == "pitch"]["predicted"].to_numpy()
     assert np.all(np.diff(pitch) < 0)  # in the middle of the angles the score falls with pitch
 
 
 def test_chance_and_words_are_no_axes_of_a_surface():
     rows: pd.DataFrame = table(*flights(60, noise=1.0)).assign(seed=range(60), haze="clear", trees=True)
-    assert continuous(rows[[*AXES, "seed", "haze", "trees"]]) == list(AXES)
+    assert continuous_axes(rows[[*AXES, "seed", "haze", "trees"]]) == list(AXES)
 
 
 def test_too_few_flights_make_no_surrogate():

@@ -32,20 +32,20 @@ def test_what_is_beyond_chance_leads_and_the_larger_before():
 
 def test_the_answer_in_words():
     assert answer({"effects": EFFECTS}) == (
-        "Most matters `sensor.pitch_um`, 8.5 against 17: +40 vehicles held per km² "
-        "(+20 to +60, beyond chance; +3 false tracks per km²) in pan. "
-        "Then `flight.rate_hz`, 10 against 2: -12 vehicles held per km² (-15 to -9, beyond chance) in pan. "
-        "Not beyond chance, all taken together: `scene.seed`."
+        "Most important: `sensor.pitch_um`, 8.5 against 17: +40 tracked vehicles per km² "
+        "(+20 to +60, significant; +3 false tracks per km²) in pan. "
+        "Then `flight.rate_hz`, 10 against 2: -12 tracked vehicles per km² (-15 to -9, significant) in pan. "
+        "Not significant among all effects: `scene.seed`."
     )
     unsure = EFFECTS[EFFECTS["axis"] == "scene.seed"]
-    assert answer({"effects": unsure}).startswith("Not beyond chance: `scene.seed`, ")
+    assert answer({"effects": unsure}).startswith("Not significant: `scene.seed`, ")
     several = pd.concat([unsure, unsure.assign(axis="sensor.seed")])
-    assert answer({"effects": several}).startswith("No axis changes it beyond chance; the largest effect is")
+    assert answer({"effects": several}).startswith("No significant effect; the largest is `scene.seed`")
 
 
 def test_of_a_single_axis_none_matters_most():
     one = EFFECTS[EFFECTS["axis"] == "sensor.pitch_um"]
-    assert answer({"effects": one}).startswith("`sensor.pitch_um`, 8.5 against 17: +40 vehicles held")
+    assert answer({"effects": one}).startswith("`sensor.pitch_um`, 8.5 against 17: +40 tracked vehicles")
 
 
 def test_the_channel_that_holds_most_speaks_and_the_others_stand_beside_it():
@@ -55,8 +55,8 @@ def test_the_channel_that_holds_most_speaks_and_the_others_stand_beside_it():
     ).assign(response="held_per_km2")
     one = EFFECTS[EFFECTS["axis"] == "sensor.pitch_um"]
     assert answer({"effects": one, "points": points}) == (
-        "`sensor.pitch_um`, 8.5 against 17: +30 vehicles held per km² (+10 to +50, beyond chance) in DoLP, "
-        "+40 (+20 to +60, beyond chance) in pan."
+        "`sensor.pitch_um`, 8.5 against 17: +30 tracked vehicles per km² (+10 to +50, significant) in DoLP, "
+        "+40 (+20 to +60, significant) in pan."
     )
     assert list(importance({"effects": EFFECTS, "points": points})["channel"]) == ["dolp", "pan", "pan"]
 
@@ -73,14 +73,14 @@ def test_the_answer_ends_with_what_stands_against_what():
             ["adaptive less pan", "held_per_km2", "all", 23.1, 16.8, 27.8, 0.001]]  # fmt: skip
     columns = ["contrast", "response", "point", "effect", "low", "high", "p_max_t"]
     said = answer({"effects": EFFECTS, "contrasts": pd.DataFrame(rows, columns=columns)})
-    assert said.endswith(" Adaptive less pan: +23.1 vehicles held per km² (+16.8 to +27.8, beyond chance).")
+    assert said.endswith(" Adaptive less pan: +23.1 tracked vehicles per km² (+16.8 to +27.8, significant).")
 
 
 def test_without_effects_the_best_design_answers():
     rows = [["base", 120.0, 90.0, 150.0, "pan"], ["base", 140.0, np.nan, np.nan, "all"]]
     points = pd.DataFrame(rows, columns=["point", "score", "low", "high", "channel"])
     said = answer({"points": points.assign(response="held_per_km2")})
-    assert said == "Most: 140 vehicles held per km² in all elements."
+    assert said == "Highest: 140 tracked vehicles per km² in all elements."
     assert answer({}) == ""
 
 

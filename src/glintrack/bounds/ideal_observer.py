@@ -108,33 +108,6 @@ def dolp_of(mean_e: Array, variance_e2: Array, rows: Array, columns: Array, sens
     return superpixel_polarization(mean_e, variance_e2, sensor, superpixels[whole])
 
 
-def _of_elements(
-    frames: tuple[Array, Array], changed: list[Changed], group: str, sensor: Sensor
-) -> Iterator[tuple[int, Cumulants, float]]:
-    """Number of each vehicle that a group's elements tell of, its K(s), and up to which s that is finite."""
-    for k, rows, columns in changed:
-        kept = is_of(group, rows, columns, sensor)
-        if kept.any():
-            without, present = (frame[rows[kept], columns[kept]] for frame in frames)
-            elements = Elements(without, present, dark_noise_e(sensor), full_electrons(sensor))
-            yield k, *element_cumulants(elements)
-
-
-def _of_dolp(
-    frames: tuple[Array, Array], changed: list[Changed], sensor: Sensor, rng: np.random.Generator
-) -> Iterator[tuple[int, Cumulants, float]]:
-    """The same of what superpixels tell by their DoLP alone."""
-    side, shape = sensor.side, np.array(frames[0].shape) // sensor.side
-    read = [np.minimum(mean, full_electrons(sensor)) for mean in frames]
-    both = [(mean, np.maximum(mean, 0) + dark_noise_e(sensor) ** 2) for mean in read]
-    for k, rows, columns in changed:
-        chosen = np.unique(np.stack([rows // side, columns // side], axis=1), axis=0)
-        chosen = chosen[(chosen < shape).all(axis=1)]
-        if len(chosen):
-            without, present = (superpixel_polarization(*one, sensor, chosen) for one in both)
-            yield k, dolp_cumulants(without, present, rng), math.inf
-
-
 def assign_elements(on: Int[Array, "row column"]) -> Int[Array, "row column"]:
     """Id of the vehicle with the nearest silhouette to each element, −1 beyond `REACH_ELEMENTS`.
 

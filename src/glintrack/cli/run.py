@@ -131,7 +131,7 @@ def run(
                 tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} vehicles tracked"
                 done = epoch.index + 1 == design.flight.frames
                 doing = "scoring, writing …" if done else tracked
-                pace.ended(epoch.index, time.perf_counter() - compilation.seconds)
+                pace.add(epoch.index, time.perf_counter() - compilation.seconds)
                 left_s = pace.left_s()
                 left = "" if left_s is None else f"{format_duration(left_s)} left"
                 progress.update(task, advance=1, description=f"{design.name}: {doing}", left=left)

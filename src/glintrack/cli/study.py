@@ -42,23 +42,18 @@ from glintrack.study import (
     write_results,
 )
 from glintrack.study.plan import field_notes, length_notes
-from glintrack.study.report import judge_points, view_notes
+from glintrack.study.report import check_points, view_notes
 from glintrack.study.text_tables import (
-    BESIDE,
-    NAMES,
-    SHORT,
     TextTable,
     answer,
-    contrast_tables,
-    headline,
+    comparison_tables,
     importance,
+    importance_table,
     narrow_intervals,
-    ranks_table,
-    surrogate_table,
+    points_table,
 )
 
 _MOST_GB = 1e6
-_WIDEST_AXIS = 28  # characters of its name on one line
 _WIDEST = 200  # characters of a table
 _MOST_DESIGNS = 12  # that are printed; more stand in points.csv
 _FEW_AXES = 3  # of which each channel is told
@@ -135,7 +130,7 @@ def run(
     if memory is not None and not memory <= _MOST_GB:  # nan
         raise ValueError(f"`--memory` must be at most {_MOST_GB:g} GB, got {memory:g}")
     limit = None if memory is None else int(memory * 1e9)
-    with _pool(scheduler, workers, in_process, limit) as pool, folder.opened(plan):
+    with _pool(scheduler, workers, in_process, limit) as pool, folder.open(plan):
         report = _fly(console, mine, folder, pool, kept)
         write_results(plan, folder)
     _conclude(console, mine, folder, kept, report)
@@ -153,25 +148,15 @@ def report(
     results = read_results(result)
     folder, tables = write_report(result, results)
     console = Console()
-    matters = importance(tables)
-    if len(matters):
+    shown = []
+    if len(matters := importance(tables)):
         few = matters["axis"].nunique() <= _FEW_AXES
-        shown = importance(tables, ("axis", "channel")) if few else matters
-        name, each = NAMES[headline(tables["effects"])], "axis and channel" if few else "axis"
-        _show(
-            console,
-            _matters_table(shown, f"change of {name}, the largest of each {each}; * is beyond chance"),
-        )
+        shown.append(importance_table(tables, ("axis", "channel") if few else ("axis",)))
     points = tables.get("points")
     if points is not None and points["point"].nunique() <= _MOST_DESIGNS:
-        _show(console, _points_table(points))
-    if "contrasts" in tables:
-        for found in contrast_tables(tables["contrasts"]):
-            _show(console, _text_table(found))
-    if "ranks" in tables:
-        _show(console, _text_table(ranks_table(tables["ranks"])))
-    if "surrogate_check" in tables:
-        _show(console, _text_table(surrogate_table(tables["surrogate_check"])))
+        shown.append(points_table(points))
+    for table in [*shown, *comparison_tables(tables)]:
+        _show(console, _text_table(table))
     if len(matters) and (narrow := narrow_intervals(*results)):
         console.print(narrow, markup=False, soft_wrap=True)
     for note in view_notes(tables.get("views", pd.DataFrame(columns=["axis"]))):
@@ -190,7 +175,7 @@ def _judge(
     """A table a requirement, a row a point of the design; exits unless all points meet all of them."""
     found = []
     for requirement in requirements:
-        channel, points = judge_points(*results, requirement)
+        channel, points = check_points(*results, requirement)
         table = Table(title=f"{requirement} ({channel})", title_justify="left")
         for heading in ("design", "required", "found", "95 %", "flights more"):
             table.add_column(heading)
@@ -221,7 +206,7 @@ def _workers(scheduler: str | None, workers: int | None, in_process: bool) -> in
 
 
 def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Path) -> RunReport:
-    todo = [key for key in plan.cases if folder.finished(key) is None]
+    todo = [key for key in plan.cases if folder.outcome(key) is None]
     console.print(
         f"{plan.design.name}: {len(todo)} of {len(plan.cases)} cases to fly with {pool.name}", soft_wrap=True
     )
@@ -246,7 +231,7 @@ def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Pa
 
 
 def _conclude(console: Console, plan: Plan, folder: StudyFolder, kept: Path, report: RunReport) -> None:
-    done = sum(folder.finished(key) is not None for key in plan.cases)
+    done = sum(folder.outcome(key) is not None for key in plan.cases)
     if report.frames_read + report.frames_traced:
         console.print(
             f"frames: {report.frames_traced} traced, {report.frames_read} read from the cache, "
@@ -256,7 +241,7 @@ def _conclude(console: Console, plan: Plan, folder: StudyFolder, kept: Path, rep
     if report.failed:
         console.print(f"{len(report.failed)} cases failed, see {folder.path / 'failed'}", soft_wrap=True)
     again = " (interrupted: run it again to resume)" if report.interrupted else ""
-    _tell_cost(console, folder.spent(plan.cases))
+    _tell_cost(console, folder.cost(plan.cases))
     console.print(f"wrote {folder.path}: {done} of {len(plan.cases)} cases finished{again}", soft_wrap=True)
     if report.interrupted:
         raise typer.Exit(130)
@@ -277,7 +262,7 @@ def _tell_cost(console: Console, spent: Mapping[str, float]) -> None:
 
 def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, workers: int) -> None:
     """What a run would do, with time and disk as finished cases of the study or rough figures say."""
-    todo = [key for key in plan.cases if folder.finished(key) is None]
+    todo = [key for key in plan.cases if folder.outcome(key) is None]
     ahead, pace = foresee(plan, todo, kept), StudyPace(plan, folder, todo)
     told = Table(show_header=False)
     every = {point.replicate for point in plan.points}
@@ -315,47 +300,4 @@ def _text_table(text: TextTable) -> Table:
         table.add_column(heading, justify="left" if k < text.words else "right")
     for row in text.rows:
         table.add_row(*row)
-    return table
-
-
-def _interval(row: Mapping[str, Any]) -> str:
-    sure = " *" if row["significant"] else ""
-    return f"{row['low']:+.3g} … {row['high']:+.3g}{sure}" if row["low"] == row["low"] else "–"
-
-
-def _matters_table(found: pd.DataFrame, title: str) -> Table:
-    """The largest effect of each axis, and what it does beside."""
-    table = Table(title=title, title_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
-    widest = min(max(len(str(axis)) for axis in found["axis"]), _WIDEST_AXIS)
-    table.add_column("axis and change", overflow="fold", min_width=widest)
-    table.add_column("in", no_wrap=True)
-    there = [one for one in BESIDE if found[one].notna().any()]
-    for heading in ("effect", "95 % interval", *(SHORT[one] for one in there)):
-        table.add_column(heading, justify="right", min_width=max(map(len, heading.split())))
-    for row in found.to_dict("records"):
-        beside = (f"{row[one]:+.3g}" if row[one] == row[one] else "–" for one in there)
-        table.add_row(
-            f"{row['axis']}\n{row['level']}",
-            row["channel"],
-            f"{row['effect']:+.3g}",
-            _interval(row),
-            *beside,
-        )
-    return table
-
-
-def _points_table(points: pd.DataFrame) -> Table:
-    """Of each design and channel the headline, the visible ones and the loss budget's stages."""
-    first = headline(points)
-    shown = [n for n in (first, *BESIDE) if n in set(points["response"])]
-    table = Table(title="each design", title_justify="left", box=SIMPLE)
-    for heading in ("design", "in"):
-        table.add_column(heading)
-    for name in shown:
-        table.add_column(SHORT.get(name, NAMES[name]), justify="right")
-    scores = points.pivot_table(index=["point", "channel"], columns="response", values="score", sort=False)
-    for row in scores.reset_index().to_dict("records"):
-        values = [float(row.get(name, math.nan)) for name in shown]
-        cells = (f"{value:.3g}" if math.isfinite(value) else "–" for value in values)
-        table.add_row(str(row["point"]), str(row["channel"]), *cells)
     return table

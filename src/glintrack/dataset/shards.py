@@ -28,7 +28,7 @@ from glintrack.io.toml import read_toml, to_toml
 from glintrack.loop import case_navigation_errors, frame_rngs, true_frame_at
 from glintrack.ortho import orthorectify
 from glintrack.results.epoch import BOX_COLUMNS as FRAME_COLUMNS
-from glintrack.results.epoch import Imaged, box_rows, label_mask, vehicle_boxes
+from glintrack.results.epoch import SceneView, box_rows, label_mask, vehicle_boxes
 from glintrack.sensor import Sensor, frame_of, noiseless_frame, read_out
 
 NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
@@ -112,7 +112,7 @@ def simulate_frames(case: Case, scenario: Scenario, frames: Iterable[int]) -> It
             frame, sensor.camera, reported_pose, city.terrain, case.ortho.gsd_m, city.extent_m,
             case.ortho.method, surface,
         )  # fmt: skip
-        imaged = Imaged(observer, city.at(t), truth, true_pose, reported_pose)
+        imaged = SceneView(observer, city.at(t), truth, true_pose, reported_pose)
         rows = truth.rename_dims(vehicle="row").reset_index("vehicle").rename_vars(vehicle="vehicle_id")
         yield LabelledFrame(
             index=k,
@@ -144,7 +144,7 @@ def _readings_per_count(sensor: Sensor, shape: tuple[int, ...]) -> Float[Array, 
     return sensor.design.electrons_per_count / electrons_per_reading
 
 
-def _boxes(imaged: Imaged, frame: int, time_s: float) -> xr.Dataset:
+def _boxes(imaged: SceneView, frame: int, time_s: float) -> xr.Dataset:
     """Rows of boxes with each vehicle's speed over ground, 0 for parked ones."""
     boxes, truth = vehicle_boxes(imaged), imaged.truth
     speed = np.hypot(truth["east_speed"].values, truth["north_speed"].values)

@@ -19,7 +19,7 @@ from glintrack.bounds import STAGE_LABELS
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case, find_packaged_case
 from glintrack.report.page_data import budget_bars, facts, page_data, plan, sun_azimuth_deg
-from glintrack.results.read import Result, embedded, film_file, picture_file, score_rows, score_text
+from glintrack.results.read import Result, film_file, picture_file, picture_url, score_rows, score_text
 from glintrack.results.verdict import (
     CHANNEL_WORDS,
     accuracy_lines,
@@ -246,7 +246,7 @@ def _plan_picture(result: Result, inline: bool) -> str:
     path = film_file(result.path, kinds[0], frames[3 * (len(frames) - 1) // 4])
     if path is None:
         return ""
-    return embedded(path, _PLAN_SIDE) if inline else f"film/{path.name}"
+    return picture_url(path, _PLAN_SIDE) if inline else f"film/{path.name}"
 
 
 def _figures(result: Result, inline: bool) -> list[tuple[str, str, str]]:
@@ -255,7 +255,9 @@ def _figures(result: Result, inline: bool) -> list[tuple[str, str, str]]:
     for name, caption in _FIGURES.items():
         path = picture_file(result.path, name)
         if path is not None:
-            found.append((name, embedded(path, _FIGURE_SIDE) if inline else f"pictures/{name}.png", caption))
+            found.append(
+                (name, picture_url(path, _FIGURE_SIDE) if inline else f"pictures/{name}.png", caption)
+            )
     return found
 
 

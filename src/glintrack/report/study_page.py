@@ -1,4 +1,4 @@
-"""The page of a study: a table that sorts, effects, parallel coordinates, curves, a link to each run."""
+"""Page of a study: sortable table of runs with links, effects, parallel coordinates and curves."""
 
 # pandas' overloads give an index of a frame more types than it can have
 # pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
@@ -19,17 +19,12 @@ from glintrack.report.page import flattened, in_code, render_page, script_json
 from glintrack.study import analyse, read_results
 from glintrack.study.report import view_notes
 from glintrack.study.text_tables import (
-    BESIDE,
     NAMES,
     RESPONSES,
-    TextTable,
     answer,
-    contrast_tables,
-    headline,
-    importance,
+    comparison_tables,
+    importance_table,
     narrow_intervals,
-    ranks_table,
-    surrogate_table,
 )
 
 HEAD = "study.json"
@@ -38,19 +33,19 @@ _FIRST = ("point", "replicate", "case", "channel", "status")
 
 
 def is_study(path: str | Path) -> bool:
-    """Whether a folder is a study's."""
+    """Return True if a folder is that of a study."""
     return (Path(path) / HEAD).is_file()
 
 
-def build_study_page(folder: str | Path, beside: str | Path) -> str:
-    """The report of a study as HTML.
+def build_study_page(folder: str | Path, page_folder: str | Path) -> str:
+    """Build the report of a study as HTML.
 
     Parameters
     ----------
     folder
-        A study's, with results in it.
-    beside
-        Folder in which the page will lie; links to the runs are relative to it.
+        Folder of a study with results.
+    page_folder
+        Folder of the page; links to the runs are relative to it.
 
     Raises
     ------
@@ -67,11 +62,11 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
     tables = analyse(table, source) if done.any() else {}
     plots = _plots(tables)
     varied = [axis for axis in axes if table[axis].nunique() > 1]
-    matters_columns, matters = _matters(tables)
+    matters = importance_table(tables)
     values = [[_plain(v) for v in row] for row in table[columns].itertuples(index=False)]
-    links = {key: _link(folder, str(key), Path(beside)) for key in table["case"].unique()}
+    links = {key: _link(folder, str(key), Path(page_folder)) for key in table["case"].unique()}
     cells = [
-        ([(_shown(v), "" if v is None else v) for v in row], links[row[columns.index("case")]])
+        ([(_cell(v), "" if v is None else v) for v in row], links[row[columns.index("case")]])
         for row in values
     ]
     return render_page(
@@ -83,9 +78,7 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
         narrow=in_code(narrow_intervals(table, source)) if matters else "",
         reservations=[in_code(note) for note in view_notes(tables["views"])] if "views" in tables else [],
         matters=matters,
-        matters_columns=matters_columns,
-        text_tables=_text_tables(tables),
-        has_effects=bool(matters),
+        text_tables=comparison_tables(tables),
         has_points="points" in tables,
         has_parallel=bool(tables) and bool(varied) and bool(responses),
         has_plots=bool(plots),
@@ -110,9 +103,9 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
 
 
 def _notes(table: pd.DataFrame, source: Mapping[str, Any]) -> list[str]:
-    """What is unfinished or of another version."""
+    """Sentences about unfinished rows and another version."""
     notes = []
-    for status, words in (("missing", "have not been flown yet"), ("failed", "failed")):
+    for status, words in (("missing", "have not been simulated yet"), ("failed", "failed")):
         count = int((table["status"] == status).sum())
         if count:
             notes.append(f"{count} of {len(table)} rows {words}.")
@@ -127,45 +120,17 @@ def _counts(table: pd.DataFrame) -> list[tuple[str, str, int]]:
     return [*count, *states]
 
 
-def _link(folder: Path, key: str, beside: Path) -> str:
-    """Relative address of a case's page, or of its folder if it has none; empty where it was not flown."""
+def _link(folder: Path, key: str, page_folder: Path) -> str:
+    """Relative address of a case's page, or of its folder; empty if it was not simulated."""
     case = folder / "cases" / key
     if not case.is_dir():
         return ""
     target = case / RUN_PAGE if (case / RUN_PAGE).is_file() else case
-    return quote(os.path.relpath(target.resolve(), beside.resolve()).replace(os.sep, "/"))
-
-
-def _matters(tables: Mapping[str, pd.DataFrame]) -> tuple[list[str], list[list[str]]]:
-    """Headings and rows of the largest effect of each axis, with what else it changes."""
-    found = importance(tables)
-    if found.empty:
-        return [], []
-    beside = [name for name in BESIDE if found[name].notna().any()]
-    heads = ["axis", "change", "in", NAMES[headline(tables["effects"])], "95 % interval"]
-    rows = [
-        [
-            *(str(row[name]) for name in ("axis", "level", "channel")),
-            f"{row['effect']:+.3g}",
-            f"{row['low']:+.3g} … {row['high']:+.3g}{' *' if row['significant'] else ''}"
-            if math.isfinite(row["low"])
-            else "–",
-            *(f"{row[name]:+.3g}" if math.isfinite(row[name]) else "–" for name in beside),
-        ]
-        for row in found.to_dict("records")
-    ]
-    return [*heads, *(NAMES[name] for name in beside)], rows
-
-
-def _text_tables(tables: Mapping[str, pd.DataFrame]) -> list[TextTable]:
-    """Contrasts, ranks, how well surrogates predict: those that there are."""
-    out = contrast_tables(tables["contrasts"]) if "contrasts" in tables else []
-    further = {"ranks": ranks_table, "surrogate_check": surrogate_table}
-    return [*out, *(words(tables[name]) for name, words in further.items() if name in tables)]
+    return quote(os.path.relpath(target.resolve(), page_folder.resolve()).replace(os.sep, "/"))
 
 
 def _records(tables: Mapping[str, pd.DataFrame], name: str, columns: Sequence[str]) -> list[dict]:
-    """Rows of a table that the page draws with intervals."""
+    """Rows of a table for a chart with intervals."""
     if name not in tables:
         return []
     kept = ["channel", "response", *columns, "low", "high"]
@@ -173,7 +138,7 @@ def _records(tables: Mapping[str, pd.DataFrame], name: str, columns: Sequence[st
 
 
 def _plots(tables: Mapping[str, pd.DataFrame]) -> list[dict]:
-    """ROC curves where a threshold was swept, and what more data rate buys."""
+    """ROC curves of a swept threshold, and Pareto fronts over the data rate."""
     out = []
     if "roc" in tables and len(tables["roc"]):
         lines = [
@@ -210,7 +175,7 @@ def _line(
 
 
 def _plain(value: Any) -> Any:
-    """A cell as JSON has it: None for what is missing."""
+    """Value for JSON; None if it is missing."""
     if isinstance(value, (bool, np.bool_)):
         return str(bool(value)).lower()
     if isinstance(value, (int, np.integer)):
@@ -220,5 +185,5 @@ def _plain(value: Any) -> Any:
     return None if value is None else str(value)
 
 
-def _shown(value: Any) -> str:
+def _cell(value: Any) -> str:
     return "–" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -16,7 +16,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.installation import require_extra
 from glintrack.io.atomic import temporary_path
 from glintrack.results.figures import MARKS
-from glintrack.results.figures.tracks import kinds_of, missed
+from glintrack.results.figures.tracks import missed_rows, track_kinds
 from glintrack.results.film import KINDS
 from glintrack.results.read import Result, film_file
 
@@ -120,7 +120,7 @@ class Composite:
     def _overlay(self, pen: ImageDraw.ImageDraw, time_s: float) -> None:
         thick = max(1, round(self.size[0] / _WIDE_PX))
         if self.truth.sizes.get("row"):
-            now = missed(self.truth, self.tracks, time_s) & metrics.is_moving(self.truth)
+            now = missed_rows(self.truth, self.tracks, time_s) & metrics.is_moving(self.truth)
             for x, y in self._pixels(self.truth.isel(row=np.flatnonzero(now))):
                 for slope in (1, -1):
                     pen.line([(x - 2, y - 2 * slope), (x + 2, y + 2 * slope)], MARKS["missed"], thick)
@@ -129,7 +129,7 @@ class Composite:
         t, ident = self.tracks["time_s"].values, self.tracks["track_id"].values
         recent = np.flatnonzero((t <= time_s + 1e-6) & (t >= time_s - _TAIL_S))
         places = self._pixels(self.tracks.isel(row=recent))
-        kinds = kinds_of(self.tracks)[recent]
+        kinds = track_kinds(self.tracks)[recent]
         for k in np.flatnonzero(np.isclose(t[recent], time_s)):
             colour = MARKS[kinds[k]]
             tail = places[ident[recent] == ident[recent[k]]]

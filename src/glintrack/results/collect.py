@@ -28,7 +28,7 @@ class UnscoredFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class Loop:
-    """One channel's loop: the tracker's state, what it asks of the next frame, and the record so far.
+    """State of one channel's tracker, its queries for the next frame, and the record so far.
 
     Tracks may be reported with a fixed lag (`track.advance`): those of ``pending`` epochs wait, with their
     truth in ``unscored``. ``at_once`` scores the tracks without the lag, ``scores`` those with it.
@@ -46,18 +46,7 @@ class Loop:
     reference: xr.Dataset | None = None
     quality: tuple[dict[str, float], ...] = ()
 
-    @classmethod
-    def begin(
-        cls,
-        design: track.TrackDesign,
-        seed: int,
-        roads: Sequence[Array] = (),
-        detector: track.Detector | None = None,
-    ) -> "Loop":
-        """Start a tracker, perhaps with a road map or a detector of one's own."""
-        return cls(track.start(design, seed, roads, detector))
-
-    def turned(
+    def advance(
         self,
         state: track.TrackerState,
         queries: tuple[SpectralQuery, ...],
@@ -68,7 +57,7 @@ class Loop:
         image: xr.Dataset,
         quality: dict[str, float] | None = None,
     ) -> "Loop":
-        """The loop after one more frame; the first frame is what later ones may be registered to."""
+        """Add one frame; the first image is the reference for registration."""
         pending, reported = track.advance(self.pending, state, tracks)
         after = replace(
             self,
@@ -82,33 +71,38 @@ class Loop:
             reference=image if self.reference is None else self.reference,
             quality=self.quality if quality is None else (*self.quality, quality),
         )
-        return after._scored(reported)
+        return after._score(reported)
 
-    def finished(self) -> "Loop":
-        """The loop after the last frame, with all tracks reported."""
-        return replace(self, pending=())._scored(track.flush(self.pending))
+    def finish(self) -> "Loop":
+        """Report and score all pending tracks after the last frame."""
+        return replace(self, pending=())._score(track.flush(self.pending))
 
-    def _scored(self, reported: Sequence[xr.Dataset]) -> "Loop":
-        """The loop with the tracks of the earliest frames that waited."""
+    def _score(self, reported: Sequence[xr.Dataset]) -> "Loop":
+        """Score the tracks of the earliest unscored frames, and add their rows."""
         scores, rows = list(self.scores), self.tracks
         for tracks, frame in zip(reported, self.unscored, strict=False):
             score = self.at_once[len(scores)]
             if tracks is not frame.live:
                 score = metrics.score_epoch(tracks, frame.truth, frame.extent_m, time_s=score.time_s)
             scores.append(score)
-            rows = rows.append(rows_of(_judged(tracks, score), "track", score.time_s))
+            # the vehicle matched to each track (−1: none), and whether the track is correct or false
+            columns = {"vehicle_id": score.matched_vehicle, "valid": score.valid, "false": score.false}
+            tracks = tracks.assign(
+                {name: ("track", values.astype(np.int64), {"units": "1"}) for name, values in columns.items()}
+            )
+            rows = rows.append(rows_of(tracks, "track", score.time_s))
         return replace(self, scores=tuple(scores), tracks=rows, unscored=self.unscored[len(reported) :])
 
 
 class Stopwatch:
-    """Wall time by stage, compiling apart. [s]"""
+    """Wall time by stage, without compiling. [s]"""
 
     def __init__(self):
         self.seconds: dict[str, float] = {}
-        self._last, self._compiled = time.perf_counter(), compilation.seconds
+        self.start()
 
     def start(self) -> None:
-        """Count from now on: what went before is no stage's."""
+        """Start the first lap."""
         self._last, self._compiled = time.perf_counter(), compilation.seconds
 
     def lap(self, stage: str) -> None:
@@ -133,91 +127,74 @@ def collect(
 ) -> xr.DataTree:
     """Scores over time, rows of tracks and truth, and the provenance of a run; see `simulate`.
 
-    ``exposures_ms`` are those of the frames that all loops have turned; ``seconds`` and ``ahead`` what the
-    stages of the loop took, and what those before it did beside.
+    ``exposures_ms`` are those of the frames that all channels have completed; ``seconds`` and ``ahead`` the
+    wall times of the loop's stages, and of the rendering thread's.
     """
     count = len(exposures_ms)
     nodes: dict[str, xr.Dataset] = {}
-    for channel, loop in ((channel, loop.finished()) for channel, loop in loops.items()):
+    for channel, loop in ((channel, loop.finish()) for channel, loop in loops.items()):
         nodes[f"/{channel}"] = _over_time(times_s[:count], exposures_ms, loop)
         if loop.quality:
-            nodes[f"/{channel}/quality"] = _quality(times_s, loop.quality)
+            found = {key: np.array([frame[key] for frame in loop.quality]) for key in metrics.QUALITY_UNITS}
+            finite = {key: values[np.isfinite(values)] for key, values in found.items()}
+            means = {f"mean_{k}": float(v.mean()) if v.size else np.nan for k, v in finite.items()}
+            series = _time_series(times_s[: len(loop.quality)], found, metrics.QUALITY_UNITS)
+            nodes[f"/{channel}/quality"] = series.assign_attrs(means)
         nodes[f"/{channel}/tracks"] = loop.tracks.to_dataset()
     nodes["/truth"] = truths.to_dataset()
-    per_frame = {
-        f"{stage}_ms_per_frame": 1e3 * s / max(count, 1)
-        for stage, s in seconds.items()
-        if stage not in ("build", "compile")
+    attributes = {
+        "case": name,
+        "seed": seed,
+        "glintrack_version": version("glintrack"),
+        "frames_asked": len(times_s),
+        "frames_done": count,
+        "interrupted": int(interrupted),
+        "build_s": seconds.get("build", 0.0),
+        "compile_s": seconds.get("compile", 0.0),
     }
-    per_frame |= {
-        f"{stage}_ms_ahead": 1e3 * s / max(count, 1) for stage, s in ahead.items() if stage != "compile"
-    }
-    nodes["/"] = xr.Dataset(
-        attrs={
-            "case": name,
-            "seed": seed,
-            "glintrack_version": version("glintrack"),
-            "frames_asked": len(times_s),
-            "frames_done": count,
-            "interrupted": int(interrupted),
-            "build_s": seconds.get("build", 0.0),
-            "compile_s": seconds.get("compile", 0.0),
-            **per_frame,
-        }
-    )
+    for stages, ending in ((seconds, "per_frame"), (ahead, "ahead")):
+        for stage, s in stages.items():
+            if stage not in ("build", "compile"):
+                attributes[f"{stage}_ms_{ending}"] = 1e3 * s / max(count, 1)
+    nodes["/"] = xr.Dataset(attrs=attributes)
     return xr.DataTree.from_dict(nodes)
 
 
 def _over_time(times_s: Array, exposures_ms: Sequence[float], loop: Loop) -> xr.Dataset:
+    """Scores of a channel over time, with the aggregate scores as attributes."""
+    area_km2 = np.array([s.area_km2 for s in loop.scores], float)
+    valid, false = (np.array([getattr(s, of).sum() for s in loop.scores], float) for of in ("valid", "false"))
     per_epoch = {
         "completeness": metrics.completeness(loop.scores),
         "completeness_visible": metrics.completeness(loop.scores, "visible"),
         "purity": metrics.running_purity(loop.scores),
-        "held_per_km2": np.array([s.valid.sum() / s.area_km2 for s in loop.scores], float),
-        "false_tracks": np.array([s.false.sum() for s in loop.scores], float),
-        "false_per_km2": np.array([s.false.sum() / s.area_km2 for s in loop.scores], float),
+        "held_per_km2": valid / area_km2,
+        "false_tracks": false,
+        "false_per_km2": false / area_km2,
         "should": np.array([s.should.sum() for s in loop.scores], float),
-        "valid": np.array([s.valid.sum() for s in loop.scores], float),
+        "valid": valid,
         "queries_asked": np.array(loop.asked, float),
         "queries_served": np.array(loop.served, float),
+        "exposure_ms": np.array(exposures_ms, float),
     }
     lag_s, at_once = loop.state.effective_design.reporting.effective_lag_s, {}
     if lag_s:
         live = metrics.summarize(loop.at_once)
         at_once = {"report_lag_s": lag_s} | {f"{name}_at_once": float(live[name]) for name in _AT_ONCE}
-    exposure = (("time",), np.array(exposures_ms, float), {"units": "ms"})
+    units = {name: "km-2" for name in per_epoch if name.endswith("km2")} | {"exposure_ms": "ms"}
+    summary = {k: float(v) for k, v in metrics.summarize(loop.scores).items()}
+    return _time_series(times_s, per_epoch, units).assign_attrs(summary | at_once)
+
+
+def _time_series(times_s: Array, values: Mapping[str, Array], units: Mapping[str, str]) -> xr.Dataset:
     return xr.Dataset(
-        {
-            name: (("time",), values, {"units": "km-2" if name.endswith("km2") else "1"})
-            for name, values in per_epoch.items()
-        }
-        | {"exposure_ms": exposure},
+        {name: ("time", v, {"units": units.get(name, "1")}) for name, v in values.items()},
         coords={"time": ("time", np.asarray(times_s, float), {"units": "s"})},
-        attrs={k: float(v) for k, v in metrics.summarize(loop.scores).items()} | at_once,
-    )
-
-
-def _judged(tracks: xr.Dataset, score: metrics.EpochScore) -> xr.Dataset:
-    """The tracks of one epoch with the vehicle matched to each (−1: none), and if it is right or false."""
-    columns = {"vehicle_id": score.matched_vehicle, "valid": score.valid, "false": score.false}
-    return tracks.assign(
-        {name: ("track", values.astype(np.int64), {"units": "1"}) for name, values in columns.items()}
-    )
-
-
-def _quality(times_s: Array, quality: Sequence[Mapping[str, float]]) -> xr.Dataset:
-    """Quality of each frame, and its mean over the frames as attributes ``mean_…``."""
-    found = {name: np.array([frame[name] for frame in quality]) for name in metrics.QUALITY_UNITS}
-    whole = {name: values[np.isfinite(values)] for name, values in found.items()}
-    return xr.Dataset(
-        {name: (("time",), v, {"units": metrics.QUALITY_UNITS[name]}) for name, v in found.items()},
-        coords={"time": ("time", np.asarray(times_s[: len(quality)], float), {"units": "s"})},
-        attrs={f"mean_{name}": float(v.mean()) if v.size else np.nan for name, v in whole.items()},
     )
 
 
 def rows_of(items: xr.Dataset, dim: str, time_s: float) -> xr.Dataset:
-    """One epoch's items (dim ``track`` or ``vehicle``) as rows of a table, with time and id as columns."""
+    """Rows of a table from one epoch's items (dim ``track`` or ``vehicle``), with time and id as columns."""
     table = {str(name): ("row", v.values, v.attrs) for name, v in items.data_vars.items() if v.dims == (dim,)}
     table[f"{dim}_id"] = ("row", items[dim].values, {"units": "1"})
     table["time_s"] = ("row", np.full(items.sizes[dim], float(time_s)), {"units": "s"})

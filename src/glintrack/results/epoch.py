@@ -1,12 +1,13 @@
-"""One turn of a loop, as `simulate` hands it to its callback, and where its frame images each vehicle.
+"""Data of one frame and channel for the callback of `simulate`, and boxes of the vehicles in the frame.
 
-Boxes lean as the picture has it, in the raw frame and rectified; parked vehicles have them too.
+Boxes are those of the raw and of the rectified frame, with parked vehicles.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from jaxtyping import Float
 
@@ -34,22 +35,22 @@ BOX_COLUMNS = {
 
 @dataclass(frozen=True)
 class TrueFrame:
-    """What went before all loops: the light, the sensor, the poses, and the truth.
+    """Data of a frame before all channels: light, sensor, poses and truth.
 
     Parameters
     ----------
     sensor
         From `build_sensor`.
     true_pose, reported_pose
-        Where the camera was, and where the navigator says it was.
+        True pose of the camera, and the navigator's.
     motion
         From `sensor.image_motion`. [element]
     hits, light
-        What the rays met, and the light of it.
+        Hits of the rays, and their radiance.
     planes
         That light behind the lens on every element, over the exposure: `sensor.light_on_elements`.
     truth
-        With ``visible_fraction``.
+        Schema ``truth`` with ``visible_fraction``.
     """
 
     sensor: Sensor
@@ -61,13 +62,13 @@ class TrueFrame:
     planes: Float[Array, "plane row column"]
     truth: xr.Dataset
 
-    def planes_with(self, observer: Observer, anew: Hits) -> Float[Array, "plane row column"]:
-        """The same where some elements saw something else: they were traced ``anew``, they alone."""
-        elements = np.flatnonzero(anew.rays)
-        row, column = np.divmod(elements, anew.columns)
-        shown = observer.partial_radiance(anew, self.hits)
+    def planes_with(self, observer: Observer, again: Hits) -> Float[Array, "plane row column"]:
+        """Planes with the elements replaced that were traced ``again``."""
+        elements = np.flatnonzero(again.rays)
+        row, column = np.divmod(elements, again.columns)
+        shown = observer.partial_radiance(again, self.hits)
 
-        def changed(channels: Array, pixels: Array | None = None) -> xr.DataArray:
+        def replaced(channels: Array, pixels: Array | None = None) -> xr.DataArray:
             if pixels is not None:
                 return shown(channels, pixels)
             frame = self.light(channels).copy(deep=True)
@@ -75,13 +76,13 @@ class TrueFrame:
                 frame.values[row, column] = shown(channels, np.stack([row, column], axis=1)).values
             return frame
 
-        light = smear(changed, self.motion)(self.sensor.channels)
+        light = smear(replaced, self.motion)(self.sensor.channels)
         return light_on_elements(light.values, self.sensor)
 
 
 @dataclass(frozen=True)
 class Epoch:
-    """One turn of one channel's loop."""
+    """Data of one channel after one frame."""
 
     index: int
     time_s: float
@@ -96,23 +97,18 @@ class Epoch:
     detections: track.Detections
 
     @property
-    def hits(self) -> Hits:
-        """What the frame's rays met."""
-        return self.true_frame.hits
-
-    @property
     def reported_pose(self) -> Pose:
-        """Where the navigator says the camera was."""
+        """Reported pose of the camera."""
         return self.true_frame.reported_pose
 
     @property
     def city(self) -> City:
-        """What is looked at."""
+        """City of the scene."""
         return self.observer.city
 
     @property
     def sky(self) -> Sky:
-        """By which light."""
+        """Sky of the scene."""
         return self.observer.sky
 
     @property
@@ -122,16 +118,15 @@ class Epoch:
 
 
 @dataclass(frozen=True)
-class Imaged:
-    """Which frame is labelled: the city then, and from where it was seen.
+class SceneView:
+    """City and camera of a frame with vehicle labels.
 
     Parameters
     ----------
     observer, snapshot, truth
-        The city, its state at the frame's time, and the truth with ``visible_fraction``.
+        City, its state at the frame's time, and the truth with ``visible_fraction``.
     true_pose, reported_pose
-        Where the camera was, and where the navigator says it was: raw frames follow the one, rectified ones
-        both.
+        True and reported pose of the camera: raw frames follow the true one, rectified ones both.
     """
 
     observer: Observer
@@ -142,34 +137,44 @@ class Imaged:
 
     @cached_property
     def outlines(self) -> Outlines:
-        """Of every vehicle that the frame holds a part of."""
+        """Outlines of the vehicles in the frame."""
         return outlines(self.snapshot, self.observer.camera, self.true_pose)
 
 
-def vehicle_boxes(frame: Imaged) -> xr.Dataset:
-    """The box of each vehicle that the frame holds a part of, hidden or not, in order of their ids.
+def vehicle_boxes(frame: SceneView) -> xr.Dataset:
+    """Box of each vehicle in the frame, occluded or not, in order of their ids.
 
     Returns
     -------
     Dim ``vehicle`` with the ids (parked ones from a million on) and ``class``, ``moving`` (from 1 m/s),
     ``parked``, ``visible_fraction`` [1]; ``x0``, ``y0``, ``x1``, ``y1`` in the raw frame, cut at its edge,
-    element centres at integers [pixel]; ``west``, ``south``, ``east``, ``north`` of where rectification puts
-    it: each vertex where its image lies on the terrain as seen from the reported pose [m].
+    element centres at integers [pixel]; ``west``, ``south``, ``east``, ``north`` in the rectified frame: each
+    vertex is on the terrain where it is seen from the reported pose [m].
     """
     observer, snapshot, seen = frame.observer, frame.snapshot, frame.outlines
-    moving, visible = _by_id(frame.truth, metrics.is_moving(frame.truth)), _by_id(frame.truth)
     parked = seen.instance < snapshot.fixed
     still = visible_fraction(
         snapshot, observer.camera, frame.true_pose, observer.tracer, observer.vehicle_tracer,
         seen.instance[parked],
     )  # fmt: skip
-    visibility = np.array([visible.get(int(i), 0.0) for i in seen.vehicle_id], float)
+    of_truth = pd.DataFrame(
+        {
+            "moving": np.asarray(metrics.is_moving(frame.truth), float),
+            "visible": frame.truth["visible_fraction"].values,
+        },
+        index=frame.truth["vehicle"].values,
+    ).reindex(seen.vehicle_id, fill_value=0)
+    visibility = of_truth["visible"].to_numpy(float, copy=True)
     visibility[parked] = still
-    ground = _on_ground(seen, observer.camera, frame.reported_pose, observer.city.terrain)
-    model = np.asarray(snapshot.model)[seen.instance]
+    ground = np.empty((0, 4))
+    if len(seen.instance):  # the vertices where their images lie on the terrain
+        place = seen_ground(observer.city.terrain, observer.camera, frame.reported_pose, seen.pixel)[:, :2]
+        ends = [bound.reduceat(place, seen.first[:-1]) for bound in (np.minimum, np.maximum)]
+        ground = np.concatenate(ends, axis=1)
+    classes = [VEHICLE_CLASSES[k] for k in np.asarray(snapshot.model)[seen.instance]]
     columns = {
-        "class": (np.array([VEHICLE_CLASSES[k] for k in model], dtype=object), "1"),
-        "moving": (np.array([int(moving.get(int(i), 0)) for i in seen.vehicle_id], np.int64), "1"),
+        "class": (np.array(classes, dtype=object), "1"),
+        "moving": (of_truth["moving"].to_numpy(np.int64), "1"),
         "parked": (parked.astype(np.int64), "1"),
         "visible_fraction": (visibility, "1"),
         **{name: (seen.box[:, k], "pixel") for k, name in enumerate(("x0", "y0", "x1", "y1"))},
@@ -182,8 +187,8 @@ def vehicle_boxes(frame: Imaged) -> xr.Dataset:
     return boxes.sortby("vehicle")
 
 
-def label_mask(frame: Imaged) -> xr.DataArray:
-    """Id of the vehicle that each element's middle shows, −1 for none; dims y, x."""
+def label_mask(frame: SceneView) -> xr.DataArray:
+    """Id of the vehicle at each element's middle, −1 for none; dims y, x."""
     observer, snapshot = frame.observer, frame.snapshot
     values = vehicle_mask(snapshot, observer.camera, frame.true_pose, observer.tracer, frame.outlines)
     return xr.DataArray(values, dims=("y", "x"), name="mask", attrs={"units": "1"})
@@ -196,18 +201,3 @@ def box_rows(boxes: xr.Dataset, frame: int, time_s: float) -> xr.Dataset:
     return rows.assign(
         frame=("row", np.full(count, frame)), time_s=("row", np.full(count, time_s), {"units": "s"})
     )
-
-
-def _by_id(truth: xr.Dataset, values: Array | None = None) -> dict[int, float]:
-    """A figure of each vehicle of the truth, its visible fraction by default."""
-    values = truth["visible_fraction"].values if values is None else np.asarray(values)
-    return dict(zip(truth["vehicle"].values.tolist(), values.tolist(), strict=True))
-
-
-def _on_ground(seen: Outlines, camera: Camera, reported: Pose, terrain: xr.Dataset) -> Array:
-    """West, south, east, north of the vertices where their images lie on the terrain. [m]"""
-    if not len(seen.instance):
-        return np.empty((0, 4))
-    place = seen_ground(terrain, camera, reported, seen.pixel)[:, :2]
-    low, high = (how.reduceat(place, seen.first[:-1]) for how in (np.minimum, np.maximum))
-    return np.concatenate([low, high], axis=1)

@@ -1,59 +1,51 @@
-"""The film of a flight: small pictures of every frame, in colours that all eyes can tell apart.
+"""Film of a flight: small pictures of every frame, in colours that are safe for colour-blind eyes.
 
 Natural colour, pan radiance, degree and angle of polarization on the ground grid, as WebP. They show the
-first channel's frames: the channels look at the same light and differ only in which mirrors were away.
+first channel's frames: the channels differ only in the mirrors of their queries.
 """
 
 import io
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
+from typing import Annotated, Any, Literal, Self
 
 import matplotlib
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, UInt8
 from PIL import Image
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from glintrack.core.arrays import Array
-from glintrack.results.figures import HIGHEST_DOLP, NO_DATA, OF_CHANNEL
+from glintrack.results.figures import MAX_DOLP, NO_DATA, OF_CHANNEL
 from glintrack.stokes import aop
 
 KINDS = ("rgb", "pan", "dolp", "aop")
 FILM_BYTES = 18_000_000  # all pictures together; in base64, with its tables, a page stays under 40 MB
-AOP_LEAST_DOLP = 0.02  # an angle of less polarized light is mostly noise, and shown as no data
+MIN_AOP_DOLP = 0.02  # an angle of less polarized light is mostly noise, and shown as no data
 _NO_DATA = tuple(int(NO_DATA[k : k + 2], 16) for k in (1, 3, 5))
-_LARGEST = 1e12  # seconds since 1970 and eastings are smaller
-# longest side [pixel] and WebP quality, from the best to the least worth looking at
+# longest side [pixel] and WebP quality, from the best to the smallest
 _LEVELS = (
-    (960, 80),
-    (800, 75),
-    (640, 70),
-    (560, 60),
-    (480, 55),
-    (400, 45),
-    (320, 40),
-    (240, 30),
-    (160, 20),
+    (960, 80), (800, 75), (640, 70), (560, 60), (480, 55), (400, 45), (320, 40), (240, 30), (160, 20),
     (96, 10),
-)
+)  # fmt: skip
 
 
 @dataclass
 class Film:
-    """Pictures of evenly spread frames, no more bytes together than a budget.
+    """Pictures of evenly spread frames, within a budget of bytes.
 
     Parameters
     ----------
     frames
-        Indices of the frames to keep.
+        Indices of the frames.
     budget
-        Of all pictures. [byte]
+        Size of all pictures. [byte]
     pictures
         Encoded WebP of each kind and frame; a kind that does not apply is missing.
     times_s
-        Of each frame kept. [s]
+        Time of each frame. [s]
     size
         Width and height of the first picture; later ones may be smaller. [pixel]
     pan_range
@@ -69,28 +61,33 @@ class Film:
     level: int = 0
 
     @classmethod
-    def of(cls, frames: int, most: int, budget: int = FILM_BYTES) -> "Film":
-        """An empty film of at most ``most`` of ``frames`` frames."""
-        chosen = np.linspace(0, frames - 1, min(frames, most)).round().astype(int)
+    def of(cls, frames: int, max_frames: int, budget: int = FILM_BYTES) -> "Film":
+        """Empty film of at most ``max_frames`` of ``frames`` frames."""
+        chosen = np.linspace(0, frames - 1, min(frames, max_frames)).round().astype(int)
         return cls(frozenset(chosen.tolist()), budget, {}, {})
 
     def add(self, index: int, time_s: float, image: xr.Dataset, rgb: Float[Array, "y x 3"] | None) -> None:
-        """Keep one frame's pictures, smaller than the last one's if need be; none if even they are too much.
+        """Add one frame's pictures, smaller than the last one's if necessary; none if they are too large.
 
         Parameters
         ----------
         index, time_s
-            Which frame. [s]
+            Index and time of the frame. [s]
         image
             Schema ``image``.
         rgb
             Natural colour on the same grid, sRGB 0 to 1, NaN for no data; or None.
         """
         if not self.times_s:
-            self.pan_range = _middle(image["pan"].values)
+            values = image["pan"].values
+            low, high = np.nanpercentile(values, [1, 99]) if np.isfinite(values).any() else (0.0, 1.0)
+            self.pan_range = float(low), float(max(high, low + 1e-6 * max(abs(low), 1e-6)))
         shown = colour_pictures(image, self.pan_range)
         if rgb is not None:
-            shown = {"rgb": _natural(rgb), **shown}
+            known = np.isfinite(rgb.sum(axis=-1))
+            picture = np.round(255 * np.clip(np.where(known[..., None], rgb, 0), 0, 1)).astype(np.uint8)
+            picture[~known] = _NO_DATA
+            shown = {"rgb": picture, **shown}
         share = self.budget // max(len(self.frames), 1)
         while True:
             side, quality = _LEVELS[self.level]
@@ -106,40 +103,40 @@ class Film:
         self.times_s[index] = time_s
 
     def index(self) -> dict:
-        """What the film holds, as plain values for its ``film.json``."""
-        kept = sorted(self.times_s)
+        """Plain values for ``film.json``."""
+        frames = sorted(self.times_s)
         return {
-            "kinds": [kind for kind in KINDS if any((kind, k) in self.pictures for k in kept)],
-            "frames": kept,
-            "times_s": [self.times_s[k] for k in kept],
+            "kinds": [kind for kind in KINDS if any((kind, k) in self.pictures for k in frames)],
+            "frames": frames,
+            "times_s": [self.times_s[k] for k in frames],
             "size": list(self.size),
             "pan_range": list(self.pan_range),
-            "dolp_highest": HIGHEST_DOLP,
-            "aop_least_dolp": AOP_LEAST_DOLP,
+            "dolp_highest": MAX_DOLP,
+            "aop_least_dolp": MIN_AOP_DOLP,
         }
 
 
 def picture_name(kind: str, frame: int) -> str:
-    """File of one picture of a film."""
+    """File name of one picture of a film."""
     return f"{kind}_{frame:05d}.webp"
 
 
 def colour_pictures(image: xr.Dataset, pan_range: tuple[float, float]) -> dict[str, UInt8[Array, "y x 3"]]:
     """Pan, DoLP and AoP of a rectified frame in colours; grey-blue where there is no data.
 
-    DoLP runs from 0 to `HIGHEST_DOLP`, AoP from 0 to π in the ``meridian`` frame.
+    DoLP runs from 0 to `MAX_DOLP`, AoP from 0 to π in the ``meridian`` frame.
     """
     low, high = pan_range
     pan, degree = image["pan"].values, image["dolp"].values
-    angle = np.where(degree >= AOP_LEAST_DOLP, aop(np.nan_to_num(image["stokes_radiance"].values)), np.nan)
+    angle = np.where(degree >= MIN_AOP_DOLP, aop(np.nan_to_num(image["stokes_radiance"].values)), np.nan)
     scaled = {"pan": (pan - low) / (high - low)}
     if np.isfinite(degree).any():  # a sensor without polarizers has none to show
-        scaled |= {"dolp": degree / HIGHEST_DOLP, "aop": angle / math.pi}
-    return {kind: _coloured(values, OF_CHANNEL[kind]) for kind, values in scaled.items()}
+        scaled |= {"dolp": degree / MAX_DOLP, "aop": angle / math.pi}
+    return {kind: _apply_colour_map(values, OF_CHANNEL[kind]) for kind, values in scaled.items()}
 
 
 def encode(picture: UInt8[Array, "y x 3"], longest_side: int, quality: int) -> bytes:
-    """A picture as WebP, made smaller where its longest side is above the limit."""
+    """Encode a picture as WebP, made smaller where its longest side is above the limit."""
     shown = Image.fromarray(picture)
     shown.thumbnail((longest_side, longest_side), Image.Resampling.BOX)
     buffer = io.BytesIO()
@@ -147,64 +144,53 @@ def encode(picture: UInt8[Array, "y x 3"], longest_side: int, quality: int) -> b
     return buffer.getvalue()
 
 
-def _coloured(values: Float[Array, "y x"], name: str) -> UInt8[Array, "y x 3"]:
+def _apply_colour_map(values: Float[Array, "y x"], name: str) -> UInt8[Array, "y x 3"]:
     """Values 0 to 1 through a colour map."""
+    table = np.round(255 * matplotlib.colormaps[name](np.linspace(0, 1, 256))[:, :3]).astype(np.uint8)
     known = np.isfinite(values)
-    index = np.clip(np.where(known, values, 0) * 255.999, 0, 255).astype(np.uint8)
-    picture = _colour_table(name)[index]
+    picture = table[np.clip(np.where(known, values, 0) * 255.999, 0, 255).astype(np.uint8)]
     picture[~known] = _NO_DATA
     return picture
 
 
-@lru_cache
-def _colour_table(name: str) -> UInt8[Array, "256 3"]:
-    """A colour map of Matplotlib's."""
-    return np.round(255 * matplotlib.colormaps[name](np.linspace(0, 1, 256))[:, :3]).astype(np.uint8)
+_Figure = Annotated[float, Field(ge=-1e12, le=1e12, allow_inf_nan=False)]  # eastings and times are smaller
 
 
-def _natural(rgb: Float[Array, "y x 3"]) -> UInt8[Array, "y x 3"]:
-    """sRGB 0 to 1 as bytes."""
-    known = np.isfinite(rgb.sum(axis=-1))
-    picture = np.round(255 * np.clip(np.where(known[..., None], rgb, 0), 0, 1)).astype(np.uint8)
-    picture[~known] = _NO_DATA
-    return picture
+class FilmIndex(BaseModel):
+    """Content of a ``film.json``."""
+
+    kinds: list[Literal["rgb", "pan", "dolp", "aop"]]
+    frames: list[Annotated[int, Field(ge=0, le=10**12)]]
+    times_s: list[_Figure]
+    extent_m: tuple[_Figure, _Figure, _Figure, _Figure]
+    pan_range: tuple[_Figure, _Figure] = (0.0, 1.0)
+    dolp_highest: _Figure = MAX_DOLP
+    aop_least_dolp: _Figure = MIN_AOP_DOLP
+    channel: str = ""
+
+    @model_validator(mode="after")
+    def _check_consistency(self) -> Self:
+        west, south, east, north = self.extent_m
+        if len(self.times_s) != len(self.frames):
+            raise ValueError("numbers of times and frames must be equal")
+        if not (west < east and south < north and 0.01 < (east - west) / (north - south) < 100):
+            raise ValueError("`extent_m` must not be empty or a line")
+        if any(after <= before for before, after in pairwise(self.times_s)):
+            raise ValueError("`times_s` must rise")
+        return self
 
 
-def _middle(values: Array) -> tuple[float, float]:
-    """First and 99th percentile, apart from each other."""
-    if not np.isfinite(values).any():
-        return 0.0, 1.0
-    low, high = (float(v) for v in np.nanpercentile(values, [1, 99]))
-    return low, max(high, low + 1e-6 * max(abs(low), 1e-6))
-
-
-def checked_film(film: dict) -> dict:
-    """Plain values of a ``film.json`` with their types made sure.
+def validate_film(film: Any) -> dict:
+    """Plain values of a ``film.json``.
 
     Raises
     ------
-    ValueError, KeyError, TypeError
-        If a value is missing, of another type, or makes no sense.
+    ValueError
+        If a value is missing, of another type, or out of range.
     """
-    kinds, frames = [str(k) for k in film["kinds"]], [int(k) for k in film["frames"]]
-    times_s, extent_m = [float(t) for t in film["times_s"]], [float(v) for v in film["extent_m"]]
-    if len(times_s) != len(frames) or not all(kind in KINDS for kind in kinds):
-        raise ValueError("times, frames and kinds of pictures do not match")
-    if not all(abs(figure) <= _LARGEST for figure in (*extent_m, *times_s)):
-        raise ValueError("a figure is not finite, or larger than any")
-    if len(extent_m) != 4 or not (extent_m[0] < extent_m[2] and extent_m[1] < extent_m[3]):
-        raise ValueError("its extent is empty")
-    if not 0.01 < (extent_m[2] - extent_m[0]) / (extent_m[3] - extent_m[1]) < 100:
-        raise ValueError("its extent is a line")
-    if any(after <= before for before, after in pairwise(times_s)) or min(frames, default=0) < 0:
-        raise ValueError("its times do not rise, or a frame's number is negative")
-    if max(frames, default=0) > _LARGEST:
-        raise ValueError("a frame's number is larger than any")
-    sure = {"kinds": kinds, "frames": frames, "times_s": times_s, "extent_m": extent_m}
-    if not frames:
-        return sure
-    low, high = (float(v) for v in film["pan_range"])
-    limits = {name: float(film[name]) for name in ("dolp_highest", "aop_least_dolp")}
-    if not all(abs(figure) <= _LARGEST for figure in (low, high, *limits.values())):
-        raise ValueError("a figure is not finite, or larger than any")
-    return sure | limits | {"pan_range": [low, high], "channel": str(film.get("channel", ""))}
+    try:
+        return FilmIndex.model_validate(film).model_dump()
+    except ValidationError as error:
+        fault = error.errors()[0]
+        place = ".".join(map(str, fault["loc"]))
+        raise ValueError(f"{place}: {fault['msg']}" if place else fault["msg"]) from error

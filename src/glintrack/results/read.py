@@ -1,25 +1,26 @@
-"""Read a result folder back, whole, half finished or of another version, and show it in a notebook."""
+"""Read a result folder, whole, half finished or of another version, and show it in a notebook."""
 
 import base64
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import TypeVar
 
+import jinja2
 import xarray as xr
-from markupsafe import Markup
 from PIL import Image
 
 from glintrack.case.design import Case
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import check_netcdf, read_bytes, read_json
-from glintrack.results.film import checked_film, picture_name
+from glintrack.results.film import picture_name, validate_film
 from glintrack.results.verdict import reservations, verdict
 
-_LARGEST_CASE_BYTES = 4_000_000
-_LARGEST_PICTURE_BYTES = 100_000_000
+_MAX_CASE_BYTES = 4_000_000
+_MAX_PICTURE_BYTES = 100_000_000
 _MARKS = ("case.toml", "provenance.toml", "result.nc")
 SCORE_LABELS: Mapping[str, str] = {
     "held_per_km2": "tracked vehicles per km²",
@@ -36,35 +37,40 @@ SCORE_LABELS: Mapping[str, str] = {
 }
 _SIDE = 640  # longest side of a card's picture [pixel]
 _DASH = "–"
-_HEAD = Markup('<div style="max-width:{}px"><strong>{}</strong>')
-_NOTE = Markup('<div style="border-left:4px solid #c25000;padding-left:8px">{}</div>')
-_VERDICT = Markup("<p>{}</p>")
-_PICTURE = Markup('<img alt="{}" src="{}" style="width:100%;height:auto">')
-_END = Markup(
-    "<div>in <code>{}</code>; arrays: <code>.tree</code>, a page: <code>glintrack report</code></div></div>"
-)
+_CARD = """<div style="max-width:{{ side }}px"><strong>{{ result.name }}</strong>
+{% for note in result.notes %}<div style="border-left:4px solid #c25000;padding-left:8px">{{ note }}</div>
+{% endfor %}{% if result.verdict %}<p>{{ result.verdict }}</p>
+{% endif %}{% if rows %}<table><tr><th></th>
+{%- for name in result.scores %}<th>{{ name }}</th>{% endfor %}</tr>
+{% for label, values in rows %}<tr><th style="text-align:left;font-weight:normal">{{ label }}</th>
+{%- for value in values %}<td>{{ value }}</td>{% endfor %}</tr>
+{% endfor %}</table>
+{% endif %}{% if picture %}<img alt="tracks of {{ result.name }}" src="{{ picture }}" style="width:100%">
+{% endif %}<div>in <code>{{ result.path }}</code>; arrays: <code>.tree</code>, a page:
+<code>glintrack report</code></div></div>"""
 _PLACE = {"time_s", "east", "north"}
 _SPEED = {"east_speed", "north_speed"}
-# columns that a table is nothing without, by the last part of its path
-_NEEDED = {
+# required columns of a table, by the last part of its path
+_REQUIRED = {
     "tracks": _PLACE | _SPEED | {"track_id"},
     "truth": _PLACE | _SPEED | {"vehicle_id"},
     "queries": _PLACE | {"track_id", "vehicle_id", "radiance", "wavelength"},
     "vehicles": {"paint", "vehicle"},
 }
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, repr=False)
 class Result:
-    """What lies in a result folder, as far as it is there; a notebook shows its scores and a picture.
+    """Content of a result folder, as far as it exists; a notebook shows its scores and a picture.
 
     Parameters
     ----------
     path
         The folder.
     tree
-        What `simulate` returned, with ``/vehicles`` and ``/CHANNEL/queries``, tables that lack a column left
-        out; None if it is missing.
+        Result of `simulate` with ``/vehicles`` and ``/CHANNEL/queries``, without tables that lack a column;
+        None if it is missing.
     case, case_text
         The design, None if this version cannot read it, and its TOML.
     provenance
@@ -72,7 +78,7 @@ class Result:
     film
         Plain values of ``film/film.json``; empty if there is no film.
     notes
-        What is missing or odd, one sentence each.
+        Missing or broken parts, one sentence each.
     """
 
     path: Path
@@ -85,14 +91,14 @@ class Result:
 
     @property
     def channels(self) -> list[str]:
-        """Channels that were scored, in the order flown."""
+        """Channels with scores, in their order in the case."""
         if self.tree is None:
             return []
         return [str(name) for name, node in self.tree.children.items() if "completeness" in node]
 
     @property
     def name(self) -> str:
-        """What the case was called, else the folder."""
+        """Name of the case, or of the folder if it is not known."""
         return str(self.provenance.get("case", self.path.resolve().name))
 
     @property
@@ -105,32 +111,34 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """How well the design keeps track and what limits it; empty where nothing was scored."""
+        """Completeness, false tracks and largest loss as text; empty without scores."""
         return "" if self.tree is None else verdict(self.tree, self.scores)
 
     @property
     def reservations(self) -> list[str]:
-        """What keeps the verdict from being the whole answer, a sentence each."""
+        """Reservations about the verdict, one sentence each."""
         return [] if self.tree is None else reservations(self.tree, self.scores, self.case)
 
     def __repr__(self) -> str:
         """One line: name, folder, and completeness and purity of each channel."""
         keys = ("completeness", "purity")
-        said = [
+        parts = [
             f"{name}: {', '.join(f'{key} {of.get(key, math.nan):.3g}' for key in keys)}"
             for name, of in self.scores.items()
         ]
-        return f"<glintrack result {self.name!r} in {self.path}; {'; '.join(said) or 'no scores'}>"
+        return f"<glintrack result {self.name!r} in {self.path}; {'; '.join(parts) or 'no scores'}>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """HTML for a notebook, without program or style sheet; all text of the result is escaped."""
         pictures = [picture_file(self.path, name) for name in (*self.channels, "rgb", "view_rgb")]
-        shown = next((path for path in pictures if path is not None), None)
-        return card_html(self.name, self.path, (self.verdict, self.scores), self.notes, shown)
+        path = next((path for path in pictures if path is not None), None)
+        picture = "" if path is None else picture_url(path, _SIDE)
+        card = jinja2.Environment(autoescape=True).from_string(_CARD)
+        return card.render(result=self, rows=score_rows(self.scores), picture=picture, side=_SIDE)
 
 
 def load_result(path: str | Path) -> xr.DataTree:
-    """The labelled arrays of a result: scores, tracks, truth, quality, served queries and their spectra.
+    """Read the labelled arrays of a result: scores, tracks, truth, quality, served queries and spectra.
 
     Parameters
     ----------
@@ -146,43 +154,48 @@ def load_result(path: str | Path) -> xr.DataTree:
     ValueError
         If the folder is no result, or has no readable ``result.nc``.
     """
-    folder = _folder(path)
-    tree, note = _read_tree(folder)
+    notes: list[str] = []
+    tree = _read_tree(_check_folder(path), notes)
     if tree is None:
-        raise ValueError(f"`path` must be a finished result, got {folder}: {note}")
+        raise ValueError(f"`path` must be a finished result, got {path}: {notes[0]}")
     return tree
 
 
 def read_result(path: str | Path, tree: xr.DataTree | None = None) -> Result:
-    """A result folder with whatever of it is there: arrays, design, provenance, and what is missing.
+    """Read all parts of a result folder that exist: arrays, design, provenance and film.
 
     Parameters
     ----------
     path
         The folder.
     tree
-        What ``result.nc`` holds, if it has just been written: it is not read.
+        Content of ``result.nc``, if it has just been written: it is not read.
 
     Raises
     ------
     ValueError
-        If the folder does not exist or holds nothing of a result.
+        If the folder does not exist or contains nothing of a result.
     """
-    folder, note = _folder(path), ""
+    folder, notes = _check_folder(path), list[str]()
     if tree is None:
-        tree, note = _read_tree(folder)
-    notes = [note] if note else []
+        tree = _read_tree(folder, notes)
     if tree is not None:
-        tree, lacks = sound_part(tree)
-        notes += lacks
-    case, case_text, note = _read_case(folder)
-    notes += [note] if note else []
-    provenance, note = _read_provenance(folder)
-    notes += [note] if note else []
-    film, note = _read_film(folder)
-    before_any = bool(provenance.get("interrupted")) and provenance.get("frames_done") == 0
-    notes += [note] if note and not before_any else []
-    notes += _broken_pictures(folder, film)
+        tree = _remove_broken_tables(tree, notes)
+    case, case_text = _read_case(folder, notes)
+    provenance = _read_part(
+        (folder / "provenance.toml", "versions and wall times are not known"),
+        lambda file: read_toml(file, "provenance.toml"),
+        notes,
+    )
+    provenance = provenance or {}
+    no_frame = bool(provenance.get("interrupted")) and provenance.get("frames_done") == 0
+    film = _read_film(folder, [] if no_frame else notes)
+    pictures = [film_file(folder, kind, frame) for kind in film.get("kinds", []) for frame in film["frames"]]
+    if broken := pictures.count(None):
+        notes.append(f"{broken} of the film's {len(pictures)} pictures are missing or broken.")
+    for picture in sorted((folder / "pictures").glob("*.png")):
+        if not _is_whole(picture):
+            notes.append(f"pictures/{picture.name} is broken and not shown.")
     written_by = str(provenance.get("glintrack_version", ""))
     if written_by and written_by != version("glintrack"):
         notes.append(f"Written by glintrack {written_by}, shown by {version('glintrack')}.")
@@ -201,18 +214,18 @@ def read_result(path: str | Path, tree: xr.DataTree | None = None) -> Result:
 
 
 def picture_file(folder: Path, name: str) -> Path | None:
-    """A picture of the result, if it is there and whole."""
+    """Path of a picture of the result; None if it is missing or broken."""
     path = folder / "pictures" / f"{name}.png"
     return path if _is_whole(path) else None
 
 
 def film_file(folder: Path, kind: str, frame: int) -> Path | None:
-    """A picture of the film, if it is there and whole."""
+    """Path of a picture of the film; None if it is missing or broken."""
     path = folder / "film" / picture_name(kind, frame)
     return path if _is_whole(path) else None
 
 
-def _folder(path: str | Path) -> Path:
+def _check_folder(path: str | Path) -> Path:
     folder, wanted = Path(path), "`result` must be a folder that `glintrack run` wrote"
     if not folder.is_dir():
         raise ValueError(
@@ -225,93 +238,86 @@ def _folder(path: str | Path) -> Path:
     return folder
 
 
-def _broken_pictures(folder: Path, film: dict) -> list[str]:
-    """What of the pictures is missing or cut short."""
-    wanted = [(kind, frame) for kind in film.get("kinds", []) for frame in film["frames"]]
-    broken = sum(film_file(folder, *one) is None for one in wanted)
-    notes = [f"{broken} of the film's {len(wanted)} pictures are missing or broken."] if broken else []
-    cut = [p.name for p in sorted((folder / "pictures").glob("*.png")) if not _is_whole(p)]
-    return [*notes, *(f"pictures/{name} is broken and not shown." for name in cut)]
-
-
-def _read_tree(folder: Path) -> tuple[xr.DataTree | None, str]:
-    path = folder / "result.nc"
+def _read_part(part: tuple[Path, str], read: Callable[[Path], T], notes: list[str]) -> T | None:
+    """Read a file of the result; if it is missing or broken, note that and its consequence."""
+    path, consequence = part
+    name = "film/film.json" if path.name == "film.json" else path.name
     if not path.is_file():
-        return None, "result.nc is missing: the run did not finish, so there are no tracks and scores."
+        notes.append(f"{name} is missing: {consequence}.")
+        return None
     try:
+        return read(path)
+    except Exception as error:  # decoders raise errors of any kind for a damaged file
+        reason = str(error) if isinstance(error, ValueError) else type(error).__name__
+        notes.append(f"{name} cannot be read ({reason}): {consequence}.")
+        return None
+
+
+def _read_tree(folder: Path, notes: list[str]) -> xr.DataTree | None:
+    def read(path: Path) -> xr.DataTree:
         check_netcdf(path, "result.nc")
         with xr.open_datatree(path, engine="h5netcdf") as tree:
-            return tree.load(), ""
-    except Exception as error:  # whatever a damaged file makes the decoders say
-        return None, f"result.nc cannot be read ({type(error).__name__}): no tracks and scores."
+            return tree.load()
+
+    return _read_part((folder / "result.nc", "there are no tracks and scores"), read, notes)
 
 
-def _read_case(folder: Path) -> tuple[Case | None, str, str]:
-    path = folder / "case.toml"
+def _read_case(folder: Path, notes: list[str]) -> tuple[Case | None, str]:
+    path, text = folder / "case.toml", ""
     if not path.is_file():
-        return None, "", "case.toml is missing: the design is not known."
-    text = ""
+        notes.append("case.toml is missing: the design is not known.")
+        return None, text
     try:
-        text = read_bytes(path, "case.toml", _LARGEST_CASE_BYTES).decode("utf-8", errors="replace")
-        return Case.from_toml(path, allow_outside_paths=True), text, ""
+        text = read_bytes(path, "case.toml", _MAX_CASE_BYTES).decode("utf-8", errors="replace")
+        return Case.from_toml(path, allow_outside_paths=True), text
     except ValueError as error:
-        return None, text, f"case.toml is not a case of this version: {error}"
+        notes.append(f"case.toml is not a case of this version: {error}")
+        return None, text
 
 
-def _read_provenance(folder: Path) -> tuple[dict, str]:
-    path = folder / "provenance.toml"
-    if not path.is_file():
-        return {}, "provenance.toml is missing: versions and wall times are not known."
-    try:
-        return read_toml(path, "provenance.toml"), ""
-    except ValueError as error:
-        return {}, f"provenance.toml cannot be read: {error}"
-
-
-def _read_film(folder: Path) -> tuple[dict, str]:
+def _read_film(folder: Path, notes: list[str]) -> dict:
     path = folder / "film" / "film.json"
     if not path.is_file():
-        return {}, "There is no film: the pictures of the flight are missing."
-    try:
-        film = checked_film(read_json(path, "film.json"))
-    except (ValueError, KeyError, TypeError, OverflowError) as error:
-        return {}, f"film/film.json cannot be read ({error}): the pictures of the flight are not shown."
-    kept = "The run kept no film (`output.film_frames` was 0, or it ended too soon)."
-    return film, "" if film["frames"] else kept
+        notes.append("There is no film: the pictures of the flight are missing.")
+        return {}
+    part = path, "the pictures of the flight are not shown"
+    film = _read_part(part, lambda file: validate_film(read_json(file, "film.json")), notes)
+    if film is not None and not film["frames"]:
+        notes.append("The run kept no film (`output.film_frames` was 0, or it ended too soon).")
+    return film or {}
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether a file is a picture that is not cut short."""
-    if not path.is_file() or path.stat().st_size > _LARGEST_PICTURE_BYTES:
+    """Return True if a file is a complete picture."""
+    if not path.is_file() or path.stat().st_size > _MAX_PICTURE_BYTES:
         return False
     try:
         with Image.open(path, formats=("PNG", "WEBP")) as picture:
             picture.verify()
-    except Exception:  # whatever a damaged file makes the decoders say
+    except Exception:  # decoders raise errors of any kind for a damaged file
         return False
     return True
 
 
-def sound_part(tree: xr.DataTree) -> tuple[xr.DataTree, list[str]]:
-    """A result without the tables that lack a column, and what was left out."""
-    kept, notes = {}, []
+def _remove_broken_tables(tree: xr.DataTree, notes: list[str]) -> xr.DataTree:
+    """Remove the tables that lack a column."""
+    nodes = {}
     for path, node in tree.subtree_with_keys:
-        dataset = node.to_dataset(inherit=False)
-        missing = _NEEDED.get(path.rpartition("/")[2], set()) - set(map(str, dataset.variables))
-        if dataset.variables and missing:
+        nodes[path] = node.to_dataset(inherit=False)
+        missing = _REQUIRED.get(path.rpartition("/")[2], set()) - set(map(str, nodes[path].variables))
+        if nodes[path].variables and missing:
             notes.append(f"result.nc: the table {path} lacks {', '.join(sorted(missing))} and is not shown.")
-            dataset = xr.Dataset()
-        kept[path] = dataset
-    return xr.DataTree.from_dict(kept), notes
+            nodes[path] = xr.Dataset()
+    return xr.DataTree.from_dict(nodes)
 
 
 def score_text(value: float | None) -> str:
-    """A score to three digits, a dash where there is none."""
+    """Score with three digits; a dash if it is missing."""
     return _DASH if value is None or value != value else f"{value:.3g}"
 
 
 def score_rows(scores: Mapping[str, Mapping[str, float | None]]) -> list[tuple[str, list[str]]]:
-    """One row a score, one column a channel, of the scores of each channel."""
+    """Label of each score, and its text for each channel."""
     if not scores:
         return []
     return [
@@ -319,49 +325,11 @@ def score_rows(scores: Mapping[str, Mapping[str, float | None]]) -> list[tuple[s
     ]
 
 
-def embedded(path: Path, longest_side: int) -> str:
-    """A picture file as the address of a small WebP."""
+def picture_url(path: Path, longest_side: int) -> str:
+    """Data URL of a picture file, as a small WebP."""
     with Image.open(path) as picture:
         shown = picture.convert("RGB")
     shown.thumbnail((longest_side, longest_side))
     buffer = io.BytesIO()
     shown.save(buffer, "WEBP", quality=80)
     return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode()
-
-
-def card_html(
-    title: str,
-    folder: Path,
-    answer: tuple[str, Mapping[str, Mapping[str, float | None]]],
-    notes: Sequence[str],
-    picture: Path | None,
-) -> str:
-    """HTML of a result without program or style sheet; all text of the result is escaped.
-
-    Parameters
-    ----------
-    title, folder
-        What it is called and where it lies.
-    answer
-        The verdict, and the scores of each channel by the keys of `SCORE_LABELS`.
-    notes
-        What is missing or odd.
-    picture
-        A picture file, or None.
-    """
-    verdict, scores = answer
-    parts = [_HEAD.format(_SIDE, title), *(_NOTE.format(note) for note in notes)]
-    if verdict:
-        parts.append(_VERDICT.format(verdict))
-    if scores:
-        heads = Markup("").join(Markup("<th>{}</th>").format(name) for name in scores)
-        rows = Markup("").join(
-            Markup('<tr><th style="text-align:left;font-weight:normal">{}</th>{}</tr>').format(
-                label, Markup("").join(Markup("<td>{}</td>").format(v) for v in values)
-            )
-            for label, values in score_rows(scores)
-        )
-        parts.append(Markup("<table><tr><th></th>{}</tr>{}</table>").format(heads, rows))
-    if picture is not None:
-        parts.append(_PICTURE.format(f"tracks of {title}", embedded(picture, _SIDE)))
-    return "".join([*parts, _END.format(str(folder))])

@@ -1,4 +1,4 @@
-"""Record a simulation: keep what is worth showing of it, and estimate when it ends."""
+"""Record pictures, film, served queries and detections of a simulation, and estimate when it ends."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from glintrack.core.spectral import Band, channel_weights
 from glintrack.io.images import write_frame
 from glintrack.ortho import rectify_array
 from glintrack.render import Observer
-from glintrack.results.epoch import Epoch, Imaged, box_rows, vehicle_boxes
+from glintrack.results.epoch import Epoch, SceneView, box_rows, vehicle_boxes
 from glintrack.results.figures.frame import Bearings, azimuth_of, in_view
 from glintrack.results.film import Film
 from glintrack.scene import City
@@ -23,23 +23,22 @@ from glintrack.stokes import dolp
 from glintrack.track import Detections, Frame, Grid
 from glintrack.track.detect.frame import grid_of
 
-# scores, pictures and files after the last frame take as long as so many frames, and so many for each frame
+# time of scores, pictures and files after the last frame, in frames, and in frames for each frame
 _END_FRAMES, _END_SHARE = 2.5, 0.05
 
 
 @dataclass(frozen=True)
 class Colour:
-    """One frame as an eye and a perfect polarimeter would see it, before the sensor.
+    """Natural colour and polarization of one frame before the sensor.
 
     Parameters
     ----------
     view, ground
-        Natural colour in the aircraft's view and on the ground grid, sRGB; None where the flight's spectra
-        lie beyond what eyes see. [1]
+        Natural colour in the aircraft's view and on the ground grid, sRGB; None in the infrared. [1]
     view_dolp
         Degree of linear polarization in the aircraft's view, pan band. [1]
     view_bearings
-        How that view lies.
+        Directions of north and of the sun in that view.
     """
 
     view: Array | None
@@ -50,17 +49,14 @@ class Colour:
 
 @dataclass
 class Recorder:
-    """Writes evenly spread rectified frames of each channel; keeps a film, served queries, natural colour.
-
-    What it keeps does not grow with the number of frames but for served queries (some 200 bytes each),
-    detections (100 bytes each) and boxes.
+    """Record a film, served queries, detections and natural colour; write rectified frames of each channel.
 
     Parameters
     ----------
     case
-        The design being flown.
+        The simulated case.
     folder
-        Of the result, into whose ``frames`` evenly spread rectified frames are written as they come; or none.
+        Folder of the result, for evenly spread rectified frames in ``frames``; or None.
     """
 
     case: Case
@@ -81,24 +77,23 @@ class Recorder:
         self.film = Film.of(self.case.flight.frames, self.case.output.film_frames)
 
     def picture(self, channel: str, index: int, image: xr.Dataset, city: City) -> None:
-        """Called by `simulate` with each rectified frame, before it is tracked: write those that are kept."""
-        frames, keep = self.case.flight.frames, self.case.output.keep_frames
-        if self.folder is not None and index in np.linspace(0, frames - 1, min(keep, frames)).round().astype(
-            int
-        ):
+        """Write a rectified frame, if it is one of those; `simulate` calls this before it is tracked."""
+        frames, count = self.case.flight.frames, self.case.output.keep_frames
+        chosen = np.linspace(0, frames - 1, min(count, frames)).round().astype(int)
+        if self.folder is not None and index in chosen:
             frames_folder = self.folder / "frames"
             frames_folder.mkdir(exist_ok=True)
             path = frames_folder / f"{channel}_{image.attrs['time_s']:07.2f}s.tif"
             write_frame(path, image, city.crs, (city.origin_easting_m, city.origin_northing_m))
 
     def record(self, epoch: Epoch) -> None:
-        """Called by `simulate` after every turn of a loop."""
+        """Record one frame of one channel; the callback of `simulate`."""
         self.observer = epoch.observer
         if epoch.index <= self.shown_index:  # the middle frame, or the last one of an interrupted flight
             self.shown[epoch.channel] = epoch.image
         if epoch.index == self.shown_index and self.colour is None:
             self.colour = self._natural_colour(epoch)
-        self._queries[epoch.channel] = self._queries.get(epoch.channel, Rows()).append(_served(epoch))
+        self._queries[epoch.channel] = self._queries.get(epoch.channel, Rows()).append(_query_rows(epoch))
         if self.grid is None:
             self.grid = grid_of(Frame(epoch.time_s, epoch.image), None)
         found = replace(epoch.detections, box=None, earlier_s=(), earlier=None, detail=None)
@@ -108,7 +103,7 @@ class Recorder:
             if self.case.output.boxes:
                 seen = epoch.true_frame
                 now = epoch.city.at(epoch.time_s)
-                frame = Imaged(epoch.observer, now, seen.truth, seen.true_pose, seen.reported_pose)
+                frame = SceneView(epoch.observer, now, seen.truth, seen.true_pose, seen.reported_pose)
                 rows = box_rows(vehicle_boxes(frame), epoch.index, epoch.time_s)
                 self._boxes = self._boxes.append(rows)
             if epoch.index in self.film.frames:
@@ -116,26 +111,48 @@ class Recorder:
 
     @property
     def shown_index(self) -> int:
-        """Frame that the pictures show: three quarters through, when tracks are established."""
+        """Index of the frame in the pictures: three quarters through, when tracks are established."""
         return (3 * (self.case.flight.frames - 1)) // 4
 
     @property
     def origin_m(self) -> tuple[float, float]:
-        """Where the ENU origin lies in the scene's CRS. [m]"""
+        """ENU origin in the scene's CRS. [m]"""
         if self.observer is None:
             return 0.0, 0.0
         return self.observer.city.origin_easting_m, self.observer.city.origin_northing_m
 
     def queries(self, channel: str) -> xr.Dataset:
-        """Served queries and their spectra, one ``row`` each; see `_served`."""
+        """Served queries and their spectra, one ``row`` each; ``vehicle_id`` is −1 where none was hit."""
         return self._queries.get(channel, Rows()).to_dataset()
 
     def detections(self, channel: str) -> xr.Dataset:
-        """What change detection found, one ``row`` each, in order of time."""
-        return _rows(self.found.get(channel, []))
+        """Detections of a channel, one ``row`` each, in order of time."""
+        found = self.found.get(channel, [])
+        if not found:
+            return xr.Dataset()
+
+        def join(name: str) -> Array:
+            return np.concatenate([getattr(one, name) for _, one in found])
+
+        position, covariance = join("position"), join("covariance")
+        columns = {
+            "time_s": (np.concatenate([np.full(len(one), at) for at, one in found]), "s"),
+            "east": (position[:, 0], "m"),
+            "north": (position[:, 1], "m"),
+            "east_var": (covariance[:, 0, 0], "m2"),
+            "north_var": (covariance[:, 1, 1], "m2"),
+            "east_north_cov": (covariance[:, 0, 1], "m2"),
+            "extent": (join("extent"), "m"),
+            "contrast": (join("contrast"), "1"),
+        }
+        if all(one.log_likelihood_ratio is not None for _, one in found):
+            columns["log_likelihood_ratio"] = (join("log_likelihood_ratio"), "1")
+        return xr.Dataset(
+            {name: ("row", values, {"units": unit}) for name, (values, unit) in columns.items()}
+        )
 
     def boxes(self) -> xr.Dataset:
-        """Where every frame imaged each vehicle, one ``row`` each, if the case asks for it."""
+        """Box of each vehicle in every frame, one ``row`` each, if the case asks for it."""
         return self._boxes.to_dataset()
 
     def vehicles(self) -> xr.Dataset:
@@ -147,7 +164,7 @@ class Recorder:
         )
 
     def _note_paints(self, epoch: Epoch) -> None:
-        """Names of the paints of vehicles not met before."""
+        """Add the paints of new vehicles."""
         if set(epoch.score.vehicle_ids.tolist()) <= self.paints.keys():
             return
         now, names = epoch.city.at(epoch.time_s), epoch.city.materials["material"].values
@@ -162,16 +179,22 @@ class Recorder:
         if not holds_colours(epoch.sky.wavelength_um):
             return None
         xyz, white = _xyz(epoch)
-        xyz = _mean_of_four(xyz)  # four rays a cell of the map, which is as wide as two elements
-        gsd_m, city = self.case.ortho.gsd_m, epoch.city
-        ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
+        for axis in (0, 1):  # mean of four elements: a cell of the map is as wide as two
+            before = np.concatenate([np.split(xyz, [1], axis)[0], np.split(xyz, [-1], axis)[0]], axis)
+            xyz = 0.5 * (xyz + before)
+        ground = self._on_ground(epoch, xyz, self.case.ortho.gsd_m)
         if self._exposure is None:
             self._exposure = exposure_of(ground, white)
         colour = natural_colour(ground, white, self._exposure)
         return np.where(np.isfinite(ground).all(axis=-1, keepdims=True), colour, np.nan)
 
+    @staticmethod
+    def _on_ground(epoch: Epoch, values: Array, gsd_m: float) -> Array:
+        city = epoch.city
+        return rectify_array(values, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
+
     def _natural_colour(self, epoch: Epoch) -> Colour:
-        sky, city = epoch.sky, epoch.city
+        sky = epoch.sky
         band = Band("pan", *self.case.sensor.band_um).response(sky.wavelength_um)
         pan = channel_weights(sky.wavelength_um, band[None] * sky.wavelength_um)
         polarized = dolp(epoch.true_frame.light(pan).values[:, :, 0])
@@ -179,8 +202,7 @@ class Recorder:
         if not holds_colours(sky.wavelength_um):
             return Colour(None, None, polarized, bearings)
         xyz, white = _xyz(epoch)
-        gsd_m = 0.5 * self.case.ortho.gsd_m  # elements are half a superpixel
-        ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
+        ground = self._on_ground(epoch, xyz, 0.5 * self.case.ortho.gsd_m)  # an element is half a superpixel
         colour = natural_colour(ground, white)
         colour = np.where(np.isfinite(ground).all(axis=-1, keepdims=True), colour, np.nan)
         return Colour(natural_colour(xyz, white), colour, polarized, bearings)
@@ -199,15 +221,12 @@ class FlightPace:
     frames: int
     _ended: list[tuple[int, float]] = field(default_factory=list)
 
-    def ended(self, frame: int, at_s: float) -> None:
-        """A frame has ended, at a time by any clock that leaves out compiling. [s]"""
+    def add(self, frame: int, at_s: float) -> None:
+        """Add the end of a frame, by a clock without compiling. [s]"""
         self._ended.append((frame, at_s))
 
     def left_s(self) -> float | None:
-        """Time until everything is written; None before two frames have ended. [s]
-
-        The first frame counts for nothing: what it took holds what is done once.
-        """
+        """Time until everything is written, without the first frame; None before two have ended. [s]"""
         if len(self._ended) < 2:
             return None
         (first, begun_s), (last, now_s) = self._ended[0], self._ended[-1]
@@ -216,22 +235,14 @@ class FlightPace:
 
 
 def _xyz(epoch: Epoch) -> tuple[Array, Array]:
-    """XYZ radiance of a frame before the sensor, and that of a white panel on the ground."""
+    """XYZ radiance of a frame before the sensor, and of a white panel on the ground."""
     channels = colour_channels(epoch.sky.wavelength_um)
     xyz = np.ascontiguousarray(epoch.true_frame.light(channels).values[..., 0])
     return xyz, epoch.observer.white(channels)
 
 
-def _mean_of_four(picture: Array) -> Array:
-    """Every element's mean with those above, to the left and between."""
-    for axis in (0, 1):
-        before = np.concatenate([np.split(picture, [1], axis)[0], np.split(picture, [-1], axis)[0]], axis)
-        picture = 0.5 * (picture + before)
-    return picture
-
-
-def _served(epoch: Epoch) -> xr.Dataset:
-    """Served queries of one epoch: where, for which track, on which vehicle (−1: none), and the spectrum."""
+def _query_rows(epoch: Epoch) -> xr.Dataset:
+    """Served queries of one epoch: position, track, vehicle (−1: none), and spectrum."""
     served = epoch.spectra["served"].values.astype(bool)
     names = ("track_id", "east", "north", "radiance")
     track, east, north, radiance = (epoch.spectra[name].values[served] for name in names)
@@ -248,29 +259,3 @@ def _served(epoch: Epoch) -> xr.Dataset:
         },
         coords={"wavelength": epoch.spectra["wavelength"].variable},
     )
-
-
-def _rows(found: list[tuple[float, Detections]]) -> xr.Dataset:
-    """Detections of all epochs, without what their detector alone needs of them: whole frames, perhaps."""
-    if not found:
-        return xr.Dataset()
-    time_s = np.concatenate([np.full(len(one), at) for at, one in found])
-    all_of = {
-        name: np.concatenate([getattr(one, name) for _, one in found])
-        for name in ("position", "covariance", "extent", "contrast")
-    }
-    position, covariance = all_of["position"], all_of["covariance"]
-    columns = {
-        "time_s": (time_s, "s"),
-        "east": (position[:, 0], "m"),
-        "north": (position[:, 1], "m"),
-        "east_var": (covariance[:, 0, 0], "m2"),
-        "north_var": (covariance[:, 1, 1], "m2"),
-        "east_north_cov": (covariance[:, 0, 1], "m2"),
-        "extent": (all_of["extent"], "m"),
-        "contrast": (all_of["contrast"], "1"),
-    }
-    told = [one.log_likelihood_ratio for _, one in found if one.log_likelihood_ratio is not None]
-    if len(told) == len(found):
-        columns["log_likelihood_ratio"] = (np.concatenate(told), "1")
-    return xr.Dataset({name: ("row", values, {"units": unit}) for name, (values, unit) in columns.items()})

@@ -1,8 +1,8 @@
-"""Receiver operating characteristic: detections, somebody's or a flight's own, tracked at each threshold.
+"""Receiver operating characteristic: the same detections, tracked at each threshold.
 
-The detections stay; the tracker starts again, without frames and spectra. With existence reporting the limit
-of the false share is swept, else the score of initiation. Completeness against false tracks a frame: Presnar
-et al., Proc. SPIE 7672, 76720T (2010), §4.2.
+The tracker runs without frames and spectra. With existence reporting the limit of the false share is swept,
+else the score of initiation. Completeness against false tracks per frame: Presnar et al., Proc. SPIE 7672,
+76720T (2010), §4.2.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -27,13 +27,7 @@ from glintrack.track.files import DETECTIONS_DESIGN, as_rows, track_detections
 
 ROC_FALSE_SHARE = (0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3)
 ROC_SCORES = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)  # nat
-
-UNITS = {
-    "completeness": "1",
-    "false_per_epoch": "1",
-    "purity": "1",
-    "identity_switches": "1",
-}
+_SCORES = ("completeness", "false_per_epoch", "purity", "identity_switches")
 
 
 def roc(
@@ -59,17 +53,16 @@ def roc(
 
     Returns
     -------
-    Of each threshold, in their order: ``confirm_score``, then ``completeness``, ``false_per_epoch``,
-    ``custody``, ``purity`` and ``identity_switches``.
+    A dictionary for each threshold: ``confirm_score``, ``completeness``, ``false_per_epoch``, ``custody``,
+    ``purity`` and ``identity_switches``.
     """
-    design = DETECTIONS_DESIGN if design is None else design
-    names = ("completeness", "false_per_epoch", "custody", "purity", "identity_switches")
-    out = []
+    design, out = DETECTIONS_DESIGN if design is None else design, []
     for threshold in thresholds:
         changed = design.replace({"initiation.confirm_score": float(threshold)})
         rows = track_detections(table, changed, area_m).rows
         scores = summarize(score_epochs(rows, truth, area_m, match_distance_m))
-        out.append({"confirm_score": float(threshold), **{name: scores[name] for name in names}})
+        values = {name: scores[name] for name in (*_SCORES, "custody")}
+        out.append({"confirm_score": float(threshold), **values})
     return out
 
 
@@ -82,20 +75,20 @@ def flight_roc(
     area_m: tuple[float, float, float, float],
     thresholds: Sequence[float] | None = None,
 ) -> xr.Dataset:
-    """Scores of a channel's detections over what decides which tracks are reported.
+    """Scores of a channel's detections over the threshold of reporting.
 
     Parameters
     ----------
     case, channel
-        The design that was flown, and whose detections they are.
+        The simulated case, and the channel of the detections.
     found
-        Time of each frame [s], and what was detected in it.
+        Time of each frame, and its detections. [s]
     truth
         ``/truth`` of the result.
     grid, area_m
-        On which the tracker lived, and west, south, east, north of what is scored. [m]
+        Grid of the tracker, and west, south, east, north of the scored area. [m]
     thresholds
-        The design's own is added to them; by default `ROC_FALSE_SHARE` or `ROC_SCORES`.
+        Values in addition to the design's own; by default `ROC_FALSE_SHARE` or `ROC_SCORES`.
 
     Returns
     -------
@@ -116,13 +109,19 @@ def flight_roc(
         key, flown, usual = "initiation.confirm_score", design.initiation.confirm_score, ROC_SCORES
     swept = sorted({*map(float, usual if thresholds is None else thresholds), float(flown)})
     if used.reporting.uses_existence:
-        rows = _rows_at_shares(_states(design, found, grid), swept)
+        reports = [
+            one for one in report_at_shares(_states(design, found, grid), swept) if one.tracks.sizes["track"]
+        ]
+        rows = [xr.Dataset() for _ in swept]
+        if reports:  # of one run of the tracker
+            all_rows, at = _rows(one.tracks for one in reports), np.hstack([one.at for one in reports])
+            rows = [all_rows.isel(row=np.flatnonzero(each)) for each in at]
     else:
         designs = [used.replace({key: one}) for one in swept]
         rows = [_rows(reported_epochs(_states(one, found, grid))) for one in designs]
     scores = [summarize(one) for one in score_tables(rows, truth, area_m)]
     return xr.Dataset(
-        {name: ("threshold", [one[name] for one in scores], {"units": u}) for name, u in UNITS.items()},
+        {name: ("threshold", [one[name] for one in scores], {"units": "1"}) for name in _SCORES},
         coords={"threshold": ("threshold", swept, {"units": "1", "key": key})},
         attrs={"flown": float(flown)},
     )
@@ -131,20 +130,11 @@ def flight_roc(
 def _states(
     design: TrackDesign, found: Sequence[tuple[float, Detections]], grid: Grid
 ) -> Iterator[TrackerState]:
-    """The tracker after each frame."""
+    """State of the tracker after each frame."""
     state = start(design)
     for time_s, one in found:
         state = step_detections(state, one, time_s, grid)
         yield state
-
-
-def _rows_at_shares(states: Iterable[TrackerState], false_shares: Sequence[float]) -> list[xr.Dataset]:
-    """Rows of tracks at each limit of the false share, from one run of the tracker."""
-    reported = [one for one in report_at_shares(states, false_shares) if one.tracks.sizes["track"]]
-    if not reported:
-        return [xr.Dataset() for _ in false_shares]
-    rows, at = _rows(one.tracks for one in reported), np.hstack([one.at for one in reported])
-    return [rows.isel(row=np.flatnonzero(each)) for each in at]
 
 
 def _rows(reports: Iterable[xr.Dataset]) -> xr.Dataset:

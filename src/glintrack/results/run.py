@@ -1,4 +1,4 @@
-"""The commands as functions: fly a case into a folder, render a frame, expose one, score tracks."""
+"""Functions behind the commands: simulate a case into a folder, render or expose a frame, score tracks."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from glintrack.io.photographs import PlacedPose
 from glintrack.loop import case_navigation_errors, frame_rngs, simulate, with_visibility
 from glintrack.render import visible_fraction
 from glintrack.render.frame import FrameView, Product, render_product
-from glintrack.results.epoch import Epoch, Imaged, label_mask, vehicle_boxes
+from glintrack.results.epoch import Epoch, SceneView, label_mask, vehicle_boxes
 from glintrack.results.read import Result, read_result
 from glintrack.results.recorder import Recorder
 from glintrack.results.write import write_result
@@ -31,7 +31,7 @@ from glintrack.track import Detector
 
 
 def as_case(case: Case | str | Path) -> Case:
-    """A case as it is, or of a file, or packaged, by name."""
+    """Case from a case, its file, or the name of a packaged one."""
     return case if isinstance(case, Case) else Case.from_toml(find_case(case))
 
 
@@ -41,7 +41,7 @@ def run(
     callback: Callable[[Epoch], None] | None = None,
     detectors: Mapping[str, Detector] | None = None,
 ) -> Result:
-    """Fly a case and write everything into a result folder; what ``glintrack run`` does.
+    """Simulate a case and write a result folder; the function behind ``glintrack run``.
 
     Parameters
     ----------
@@ -50,14 +50,14 @@ def run(
     output
         New folder, ``result-NAME`` by default; it appears whole or not at all.
     callback
-        Called after every turn of a loop, as by `simulate`.
+        Called after each frame and channel, as by `simulate`.
     detectors
-        Of your own, by the channel that flies them, as by `simulate`.
+        Your own detectors by channel, as for `simulate`.
 
     Returns
     -------
-    What lies in the folder; its ``tree`` holds scores, tracks and truth. An interrupt (Ctrl-C) ends the
-    flight early and keeps the frames done.
+    Content of the folder, with scores, tracks and truth in ``tree``. An interrupt (Ctrl-C) ends the flight
+    early and saves the frames done.
     """
     design = as_case(case)
     folder = ResultFolder(Path(output) if output is not None else Path(f"result-{design.name}"))
@@ -89,18 +89,18 @@ def render_frame(
     ortho: bool = False,
     gsd_m: float | None = None,
 ) -> xr.DataArray:
-    """One frame as the lens receives it; what ``glintrack render`` does.
+    """Render one frame at the lens; the function behind ``glintrack render``.
 
     Parameters
     ----------
     case, frame
-        The design, its file or the name of a packaged one, and which frame of its flight, from 0.
+        The design, its file or the name of a packaged one, and the frame of its flight, from 0.
     product
         ``rgb``, ``radiance`` (I, Q, U), ``dolp`` or ``aop``.
     bands_um
         Means over these bands; the sensor's panchromatic one by default. Not for ``rgb``. [µm]
     ortho, gsd_m
-        Onto the ground grid, and its cell instead of the case's. [m]
+        Whether to rectify onto the ground grid, and its cell instead of the case's. [m]
 
     Returns
     -------
@@ -108,18 +108,14 @@ def render_frame(
     [1 for a picture and DoLP, rad for AoP, W m⁻² sr⁻¹ µm⁻¹ else]
     """
     layout, values = render_product(trace_frame(as_case(case), frame, ortho, gsd_m), product, bands_um)
-    dims = ["y", "x"]
-    coords: dict = {}
-    if layout.channel_dim:
-        dims.append(layout.channel_dim)
-        coords[layout.channel_dim] = list(layout.channels)
-    else:
-        values = values[:, :, 0]
-    if layout.component_dim:
-        dims.append(layout.component_dim)
-        coords[layout.component_dim] = list(layout.components)
-    else:
-        values = values[..., 0]
+    dims, coords = ["y", "x"], {}
+    pairs = ((layout.channel_dim, layout.channels), (layout.component_dim, layout.components))
+    for axis, (dim, names) in zip((2, -1), pairs, strict=True):
+        if dim:
+            dims.append(dim)
+            coords[dim] = list(names)
+        else:
+            values = np.take(values, 0, axis=axis)
     attrs: dict = {"units": layout.units, **dict(layout.attributes)}
     if layout.stokes_frame:
         attrs["stokes_frame"] = layout.stokes_frame
@@ -132,16 +128,16 @@ def render_frame(
 
 
 def label_frame(case: Case | str | Path = "quickstart", frame: int = 0) -> xr.Dataset:
-    """Where one frame of a case images each vehicle, and which vehicle each of its elements shows.
+    """Label one frame of a case: box of each vehicle, and the vehicle of each element.
 
     Parameters
     ----------
     case, frame
-        The design, its file or the name of a packaged one, and which frame of its flight, from 0.
+        The design, its file or the name of a packaged one, and the frame of its flight, from 0.
 
     Returns
     -------
-    What `results.epoch.vehicle_boxes` gives, and ``mask`` (y, x): a vehicle's id, −1 for none.
+    Boxes of `results.epoch.vehicle_boxes`, and ``mask`` (y, x): a vehicle's id, −1 for none.
 
     Raises
     ------
@@ -157,22 +153,22 @@ def label_frame(case: Case | str | Path = "quickstart", frame: int = 0) -> xr.Da
     errors = case_navigation_errors(design, times_s)
     seen = visible_fraction(now, observer.camera, pose, observer.tracer, observer.vehicle_tracer)
     truth = with_visibility(scenario.city.truth(times_s[frame]), now.vehicle_id[now.fixed :], seen)
-    imaged = Imaged(observer, now, truth, pose, navigate(pose, errors[frame]))
-    return vehicle_boxes(imaged).assign(mask=label_mask(imaged))
+    view = SceneView(observer, now, truth, pose, navigate(pose, errors[frame]))
+    return vehicle_boxes(view).assign(mask=label_mask(view))
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """One frame of superpixels with what `rectify` needs of it.
+    """One frame of superpixels with its camera, for `rectify`.
 
     Parameters
     ----------
     frame
         Schema ``frame``. [W m⁻² sr⁻¹ µm⁻¹]
     camera, pose
-        That took it; the pose is the true one.
+        Camera and true pose.
     sensor
-        Its figures.
+        The sensor.
     """
 
     frame: xr.Dataset
@@ -182,13 +178,13 @@ class Exposure:
 
 
 def expose(case: Case | str | Path = "quickstart", frame: int = 0) -> Exposure:
-    """One frame of a case through its sensor, no mirror away; what ``glintrack sensor expose`` does."""
+    """Expose one frame of a case, without queries; the function behind ``glintrack sensor expose``."""
     design = as_case(case)
     return expose_view(design, trace_frame(design, frame))
 
 
 def expose_view(case: Case, view: FrameView) -> Exposure:
-    """A traced frame through the sensor of a case."""
+    """Expose a traced frame with the sensor of a case."""
     sensor = build_sensor(case.sensor, view.sky.wavelength_um)
     nothing = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
     noise = frame_rngs(case.seed, view.frame).noise
@@ -205,7 +201,7 @@ def score(
     match_distance_m: float = metrics.MATCH_DISTANCE_M,
     moving_speed_m_s: float = metrics.MOVING_SPEED_M_S,
 ) -> dict[str, float]:
-    """Completeness, purity and more of tracks against the truth; what ``glintrack score`` does.
+    """Score tracks against the truth; the function behind ``glintrack score``.
 
     Parameters
     ----------
@@ -213,9 +209,9 @@ def score(
         CSV files with ``time_s``, ``track_id`` or ``vehicle_id``, ``east_m``, ``north_m``, or their rows, as
         ``load_result(…)["pan/tracks"].to_dataset()``.
     area_m
-        West, south, east, north; vehicles outside do not count. By default as of `metrics.score_rows`. [m]
+        West, south, east, north; vehicles outside do not count. By default as for `metrics.score_rows`. [m]
     match_distance_m, moving_speed_m_s
-        Beyond which a track is not a vehicle's, and from which a vehicle should be tracked. [m, m s⁻¹]
+        Maximum distance of a track from its vehicle, and minimum speed of scored vehicles. [m, m s⁻¹]
     """
     rows = tracks if isinstance(tracks, xr.Dataset) else read_tracks(Path(tracks))
     known = truth if isinstance(truth, xr.Dataset) else read_truth(Path(truth))

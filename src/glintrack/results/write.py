@@ -1,4 +1,4 @@
-"""The result folder: tables, rectified frames, pictures, and enough to repeat the run."""
+"""Write the result folder: tables, rectified frames, pictures, design and provenance."""
 
 import json
 import platform
@@ -32,7 +32,7 @@ from glintrack.results.film import picture_name
 from glintrack.results.recorder import Colour, Recorder
 from glintrack.results.roc import flight_roc
 from glintrack.results.verdict import CHANNEL_WORDS
-from glintrack.sensor import SensorDesign, response_curves
+from glintrack.sensor import response_curves
 from glintrack.sensor.sensor import ETALON_STEPS
 
 # column of the file, with its unit -> variable; `glintrack score` reads the same names
@@ -55,23 +55,11 @@ TRUTH_COLUMNS = {
     "inside": "inside",
     "moving": "moving",
 }
-SCORE_COLUMNS = {
-    name: name
-    for name in (
-        "time_s",
-        "completeness",
-        "completeness_visible",
-        "purity",
-        "held_per_km2",
-        "false_tracks",
-        "false_per_km2",
-        "should",
-        "valid",
-        "queries_asked",
-        "queries_served",
-        "exposure_ms",
-    )
-}
+_SCORES = (
+    "time_s", "completeness", "completeness_visible", "purity", "held_per_km2", "false_tracks",
+    "false_per_km2", "should", "valid", "queries_asked", "queries_served", "exposure_ms",
+)  # fmt: skip
+SCORE_COLUMNS = dict(zip(_SCORES, _SCORES, strict=True))
 SKY_WAVELENGTH_UM = 0.55
 _DPI = 200  # of pictures
 _FINE = 200  # wavelengths of a device's curve
@@ -79,18 +67,18 @@ _LIBRARIES = ("numpy", "numba", "xarray", "embreex", "sasktran2", "pvlib")
 
 
 def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
-    """Write everything a run leaves into an existing folder.
+    """Write all files of a result into an existing folder.
 
     Parameters
     ----------
     folder
         Usually the unpublished half of an `io.ResultFolder`, with the frames that the recorder wrote.
     case, tree, recorder
-        The design, what `simulate` returned, and who watched.
+        The design, the result of `simulate`, and its recorder.
 
     Returns
     -------
-    What ``result.nc`` holds.
+    Content of ``result.nc``.
     """
     write_text(folder / "case.toml", to_toml(case))
     write_text(folder / "provenance.toml", _provenance(tree))
@@ -105,9 +93,9 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
         write_table(folder / "boxes.csv", recorder.boxes(), BOX_COLUMNS)
     (folder / "frames").mkdir(exist_ok=True)
     city = recorder.observer.city
-    truth, (west, _, _, north) = _node(tree, "truth"), city.extent_m
-    times_s = _node(tree, case.channels[0])["time"].values.tolist()
-    place = TrackGeoreference(city.crs, recorder.origin_m, (west, north), case.ortho.gsd_m, times_s)
+    truth, times_s = _node(tree, "truth"), _node(tree, case.channels[0])["time"].values.tolist()
+    corner_m = city.extent_m[0], city.extent_m[3]
+    place = TrackGeoreference(city.crs, recorder.origin_m, corner_m, case.ortho.gsd_m, times_s)
     write_ways(folder / "truth.geojson", truth, place)
     write_mot_truth(folder / "truth_mot.txt", truth, city.extent_m, place)
     for channel in case.channels:
@@ -121,11 +109,10 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
 
 
 def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figure]]:
-    """The figures of a run, by name."""
+    """Figures of a run, by name."""
     if recorder.colour is not None:
         yield from _views(recorder.case, recorder.colour)
-    if recorder.observer is None:
-        return
+    assert recorder.observer is not None
     bearings = on_map(azimuth_of(recorder.observer.sky.sun_direction))
     if recorder.colour is not None and recorder.colour.ground is not None:
         figure, ax = _figure(9.5, 6)
@@ -138,11 +125,12 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
         rows = _node(tree, f"{channel}/tracks")
         time_s = image.attrs["time_s"]
         figure, ax = _figure(10.5, 6.4)
-        (plot_tracks.show_dolp if channel == "dolp" else plot_tracks.show_pan)(ax, image)
+        show = plot_tracks.show_dolp if channel == "dolp" else plot_tracks.show_pan
+        show(ax, image)
         plot_tracks.show_missed(ax, truth, rows, time_s)
         plot_tracks.show_tracks(ax, rows, time_s)
         plot_tracks.show_legend(ax)
-        ax.set_title(f"{recorder.case.name}: tracks of change in {CHANNEL_WORDS[channel]} at {time_s:.1f} s")
+        ax.set_title(f"{recorder.case.name}: tracks in {CHANNEL_WORDS[channel]} at {time_s:.1f} s")
         draw_bearings(ax, bearings)
         yield channel, figure
     figure, ax = _figure(7, 4)
@@ -151,7 +139,7 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
 
 
 def _views(case: Case, colour: Colour) -> Iterator[tuple[str, Figure]]:
-    """The aircraft's view in natural colour and DoLP."""
+    """Figures of the aircraft's view in natural colour and DoLP."""
     seen_from = f"from {case.flight.altitude_m:.0f} m, {case.flight.off_nadir_deg:g}° off nadir"
     shown = {
         "rgb": ("natural colour", plot_tracks.show_rgb, colour.view),
@@ -169,7 +157,7 @@ def _views(case: Case, colour: Colour) -> Iterator[tuple[str, Figure]]:
 
 
 def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
-    """Figures of the sky above and of the devices inside, by name."""
+    """Figures of the sky and of the devices, by name."""
     tables = solve_tables(case.atmosphere)  # solved before the flight: read from the cache
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     quantities: tuple[plot_sky.Quantity, ...] = ("I", "DoLP", "AoP")
@@ -186,7 +174,8 @@ def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
     yield "elements", figure
     if case.sensor.has_mirror and case.sensor.spectrometer == "etalon":
         figure = Figure(figsize=(10, 4), layout="constrained")
-        (left, right), sweep = figure.subplots(1, 2), _etalon_sweep(case.sensor)
+        (left, right), um = figure.subplots(1, 2), np.linspace(*case.sensor.spectrometer_um, _FINE)
+        sweep = etalon.responses(EtalonDesign(gap_count=ETALON_STEPS), wavelength_um=um)
         plot_devices.response_map(left, sweep)
         plot_devices.response_curves(right, sweep)
         yield "etalon", figure
@@ -196,14 +185,8 @@ def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
         yield "polarizer", figure
 
 
-def _etalon_sweep(sensor: SensorDesign) -> xr.Dataset:
-    """Transmittance of the mirrors' etalon at the gaps of its sweep, over the spectrometer's range."""
-    mirror = EtalonDesign(gap_count=ETALON_STEPS)
-    return etalon.responses(mirror, wavelength_um=np.linspace(*sensor.spectrometer_um, _FINE))
-
-
 def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
-    """The result with the vehicles' paints, and each channel's queries, detections and ROC, as groups."""
+    """Add the vehicles' paints, and each channel's queries, detections and ROC, as groups."""
     nodes = {path: node.to_dataset(inherit=False) for path, node in tree.subtree_with_keys}
     for channel in recorder.case.channels:
         nodes[f"{channel}/queries"] = recorder.queries(channel)
@@ -217,9 +200,8 @@ def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
 
 
 def _write_film(folder: Path, recorder: Recorder) -> None:
-    """Pictures of the film, and what they show where and when."""
-    if recorder.observer is None:
-        return
+    """Write the pictures of the film and their index."""
+    assert recorder.observer is not None
     folder.mkdir()
     city, film = recorder.observer.city, recorder.film
     for (kind, frame), data in film.pictures.items():
@@ -234,10 +216,8 @@ def _write_film(folder: Path, recorder: Recorder) -> None:
 
 
 def _node(tree: xr.DataTree, path: str) -> xr.Dataset:
-    """One node's own dataset, without what it inherits."""
     node = tree[path]
-    if not isinstance(node, xr.DataTree):
-        raise ValueError(f"`{path}` must be a group of the result, got a variable")
+    assert isinstance(node, xr.DataTree)
     return node.to_dataset(inherit=False)
 
 
@@ -248,14 +228,10 @@ def _figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
 
 def _provenance(tree: xr.DataTree) -> str:
     """Versions, wall times and scores of a run, as TOML."""
-    channels = [name for name in LOOP_COLOURS if name in tree.children]
+
+    def plain(attrs: Mapping[Hashable, Any]) -> dict[str, Any]:
+        return {str(k): v.item() if isinstance(v, np.generic) else v for k, v in attrs.items()}
+
     versions = {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}
-    scores = {name: _plain(tree[name].attrs) for name in channels}
-    return to_toml({**_plain(tree.attrs), **scores, "versions": versions})
-
-
-def _plain(attrs: Mapping[Hashable, Any]) -> dict[str, Any]:
-    """Attributes as numbers and texts of Python's own."""
-    return {
-        str(key): value.item() if isinstance(value, np.generic) else value for key, value in attrs.items()
-    }
+    scores = {name: plain(tree[name].attrs) for name in LOOP_COLOURS if name in tree.children}
+    return to_toml({**plain(tree.attrs), **scores, "versions": versions})

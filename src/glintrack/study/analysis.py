@@ -1,14 +1,13 @@
 """Analysis of a study: effects and interactions, Sobol indices, Pareto front, ROC, and a surrogate.
 
-The surrogate of a sampled study is a quadratic response surface that predicts a flight between those flown:
+The surrogate of a sampled study is a quadratic response surface that predicts the score of a flight:
 
-y = β₀ + Σ βᵢ xᵢ + Σ βᵢⱼ xᵢ xⱼ + e by least squares, with each x from −1 to 1 over what was flown and the
-error e of single flights: traffic, noise, and what the surface misses. The interval of a new flight is
-Student's,
+y = β₀ + Σ βᵢ xᵢ + Σ βᵢⱼ xᵢ xⱼ + e by least squares, with each x from −1 to 1 over the range of the study and
+the error e of single flights from traffic, noise and misfit. The interval of a new flight is Student's,
 
 ŷ ± t(n − p) s √(1 + xᵀ(XᵀX)⁻¹x),
 
-for n flights and p coefficients. How often it holds flights that had no part in the fit is counted by folds.
+for n flights and p coefficients. Its coverage is counted by cross-validation.
 
 References
 ----------
@@ -31,34 +30,34 @@ from jaxtyping import Bool, Float, Int
 from scipy import stats
 
 from glintrack.core.arrays import Array
-from glintrack.study.intervals import DRAWS, Units, estimated, interval, units
+from glintrack.study.intervals import DRAWS, Units, estimate, interval, units
 
 LEVEL = 0.90  # of a prediction
 FOLDS = 10
 PLACES = 9  # along each axis
-CHANCE = ("seed", "scene.seed", "flight.start_s")  # what differs between flights of one design
-_MIN_LEVELS = 8  # of an axis that is taken as continuous
+CHANCE = ("seed", "scene.seed", "flight.start_s")  # keys that differ between flights of one design
+_MIN_LEVELS = 8  # of a continuous axis
 _MIN_FLIGHTS_PER_TERM = 1.5
 
 
 def effects(found: Units, rng: np.random.Generator, interactions: bool = False) -> pd.DataFrame:
-    """Main effects: how much the score changes from an axis's first value to each other, or over a range.
+    """Main effects: change of the score from an axis's first value to each other, or over a range.
 
     Parameters
     ----------
     found
-        Of one score.
+        Values of one score.
     rng
-        Of the bootstrap.
+        Random generator of the bootstrap.
     interactions
-        Whether products of two axes are fitted too; they then stand beside the main effects, which are those
-        at the first values of all other axes.
+        Whether to fit products of two axes too; main effects are then those at the first values of all other
+        axes.
 
     Returns
     -------
     ``axis``, ``level``, ``effect``, ``low``, ``high``, ``p_max_t`` of the coefficients of a least-squares
-    fit; none that the design does not determine. In a full factorial these are the differences of marginal
-    means, in a one-at-a-time design those from the base.
+    fit; empty if the design does not determine them. In a full factorial these are the differences of
+    marginal means, in a one-at-a-time design those from the base.
     """
     regressors = _regressors(found.points)
     if interactions:
@@ -70,13 +69,13 @@ def effects(found: Units, rng: np.random.Generator, interactions: bool = False) 
     design = np.column_stack([np.ones(len(found.points)), *(one.column for one in regressors)])
     if not regressors or np.linalg.matrix_rank(design) < design.shape[1]:
         return pd.DataFrame(columns=["axis", "level", "effect", "low", "high", "p_max_t"])
-    of = estimated(np.linalg.pinv(design)[1:], found.values, rng)
+    of = estimate(np.linalg.pinv(design)[1:], found.values, rng)
     named = pd.DataFrame([(one.axis, one.level) for one in regressors], columns=["axis", "level"])
-    return named.join(of.table())
+    return named.join(of.to_frame())
 
 
 class _Regressor(NamedTuple):
-    """A column of the least-squares fit, and the axis and change that its coefficient is the effect of."""
+    """Column of the least-squares fit, and the axis and change of its coefficient."""
 
     axis: str
     level: str
@@ -84,7 +83,7 @@ class _Regressor(NamedTuple):
 
 
 def _regressors(points: pd.DataFrame) -> list[_Regressor]:
-    """Dummies of each value but the first of an axis with few, the place in its range of one with many."""
+    """Dummies of each value but the first of an axis with few values; the place in the range of others."""
     out = []
     for axis in points:
         column = points[axis]
@@ -106,16 +105,16 @@ def _is_numeric(column: pd.Series) -> bool:
 
 
 def sobol_indices(found: Units, axes: Sequence[str], rng: np.random.Generator) -> pd.DataFrame:
-    """First-order and total indices of a Saltelli design: shares of the score's variance.
+    """First-order and total Sobol indices of a Saltelli design: shares of the score's variance.
 
     Parameters
     ----------
     found
-        In the order of `design.unit_points`: A, B, then A with each axis from B.
+        Values in the order of `design.unit_points`: A, B, then A with each axis from B.
     axes
-        All that were varied.
+        All axes that were varied.
     rng
-        Of the bootstrap, which draws samples here, not units.
+        Random generator of the bootstrap, which draws samples here, not units.
 
     Returns
     -------
@@ -152,7 +151,7 @@ def sobol_indices(found: Units, axes: Sequence[str], rng: np.random.Generator) -
 
 
 def pareto_front(cost: Float[Array, "n"], gain: Float[Array, "n"]) -> Bool[Array, "n"]:
-    """Which designs no other beats in both: none costs less and gains as much, or gains more at that cost."""
+    """Return True for each design that no other equals at lower cost, or exceeds at no higher cost."""
     cost, gain = np.asarray(cost, dtype=float), np.asarray(gain, dtype=float)
     no_dearer = cost[None] <= cost[:, None]
     no_worse = gain[None] >= gain[:, None]
@@ -163,30 +162,30 @@ def pareto_front(cost: Float[Array, "n"], gain: Float[Array, "n"]) -> Bool[Array
 def point_scores(
     table: pd.DataFrame, axes: Sequence[str], response: str, channel: str, rng: np.random.Generator
 ) -> pd.DataFrame:
-    """Score of each finished point of the design, whatever the design.
+    """Score of each finished point of a design.
 
     Returns
     -------
-    ``point`` (its levels, or what it differs in from the first one, ``base``), ``score``, ``low``, ``high``.
+    ``point`` (its label), ``score``, ``low``, ``high``.
     """
     found = units(table, axes, response, channel)
-    of = estimated(np.eye(len(found.points)), found.values, rng)
+    of = estimate(np.eye(len(found.points)), found.values, rng)
     return pd.DataFrame({"point": labels(found.points), "score": of.value, "low": of.low, "high": of.high})
 
 
 def labels(points: pd.DataFrame) -> list[str]:
-    """What each point differs in from the first one, ``base``; its level where there is a single axis."""
+    """Label of each point: its differences from the first one, ``base``, or the level of a single axis."""
     rows = points.to_dict("records")
-    if points.shape[1] == 1:  # one axis, or the labels of a list: its level says all
+    if points.shape[1] == 1:  # one axis, or the labels of a list
         return [str(next(iter(row.values()))) for row in rows]
-    told = [", ".join(f"{k} = {v}" for k, v in row.items() if v != rows[0][k]) for row in rows]
-    return [label or "base" for label in told]
+    changes = [", ".join(f"{k} = {v}" for k, v in row.items() if v != rows[0][k]) for row in rows]
+    return [label or "base" for label in changes]
 
 
 def roc(
     table: pd.DataFrame, axes: Sequence[str], swept: str = "track.reporting.max_false_share"
 ) -> pd.DataFrame:
-    """Completeness against false tracks as a threshold sweeps, one curve for each group of other levels.
+    """Completeness against false tracks over a threshold, one curve for each group of other levels.
 
     Returns
     -------
@@ -204,14 +203,14 @@ def roc(
 
 @dataclass(frozen=True)
 class ResponseSurface:
-    """A fitted response surface.
+    """Fitted response surface.
 
     Parameters
     ----------
     axes, low, high, log
-        Of the axes: name, least and largest value flown, and whether x is even in the logarithm.
+        Names of the axes, their ranges, and whether x is even in the logarithm.
     quadratic
-        Whether squares and products are terms; straight lines alone if not.
+        Whether squares and products are terms.
     coefficients, root, sigma, freedom
         β; R of X = QR; standard deviation s of a flight about the surface; n − p.
     """
@@ -227,24 +226,45 @@ class ResponseSurface:
     freedom: int
 
     def predict(self, at: Float[Array, "n axis"], level: float = LEVEL) -> tuple[Array, Array, Array]:
-        """Score of a new flight at each place, and the ends of the interval that holds it.
+        """Score of a new flight at each place, and its prediction interval.
 
         Parameters
         ----------
         at
             Values of the axes.
         level
-            How often a new flight lies within, 0 to 1.
+            Coverage of the interval, 0 to 1.
         """
-        x = _terms(_scaled(at, self.low, self.high, self.log), self.quadratic)
+        x = _terms(at, (self.low, self.high), self.log, self.quadratic)
         middle = x @ self.coefficients
         leverage = (np.linalg.solve(self.root.T, x.T) ** 2).sum(axis=0)
         reach = stats.t.ppf(0.5 + level / 2, self.freedom) * self.sigma * np.sqrt(1 + leverage)
         return middle, middle - reach, middle + reach
 
+    def along(self, axis: int) -> pd.DataFrame:
+        """Predictions along one axis, the others at the middle of their ranges."""
+        even, geometric = (self.low + self.high) / 2, np.sqrt(np.abs(self.low * self.high))
+        at = np.tile(np.where(self.log, geometric, even), (PLACES, 1))
+        space = np.geomspace if self.log[axis] else np.linspace
+        at[:, axis] = space(self.low[axis], self.high[axis], PLACES)
+        predicted, low, high = self.predict(at)
+        columns = {"value": at[:, axis], "predicted": predicted, "low": low, "high": high}
+        return pd.DataFrame({"axis": self.axes[axis], **columns})
 
-def continuous(points: pd.DataFrame) -> list[str]:
-    """The axes with numbers of so many values that a surface over them makes sense; seeds are chance."""
+
+def _terms(
+    at: Float[Array, "n axis"], ends: tuple[Array, Array], log: Sequence[bool], quadratic: bool
+) -> Float[Array, "n term"]:
+    """Terms of the surface, with each axis from −1 to 1 between the ends."""
+    with np.errstate(divide="ignore", invalid="ignore"):  # of axes that are not even in the logarithm
+        at, low, high = (np.where(log, np.log(v), v) for v in (at, *ends))
+    x = 2 * (at - low) / (high - low) - 1
+    pairs = itertools.combinations_with_replacement(range(x.shape[1]), 2) if quadratic else ()
+    return np.stack([np.ones(len(x)), *x.T, *(x[:, i] * x[:, j] for i, j in pairs)], axis=-1)
+
+
+def continuous_axes(points: pd.DataFrame) -> list[str]:
+    """Axes with numbers of enough values for a surface; without seeds."""
     return [
         str(name)
         for name in points
@@ -258,30 +278,29 @@ def fit_surface(
     score: Float[Array, "flight"],
     even_in_log: Container[str] = (),
 ) -> ResponseSurface | None:
-    """The surface by least squares: of squares and products if flights are enough, else of straight lines.
+    """Fit a surface by least squares: with squares and products if there are enough flights, else linear.
 
     Parameters
     ----------
     axes, at, score
-        Names of the axes, their values in each flight, and what it scored.
+        Names of the axes, their values in each flight, and its score.
     even_in_log
-        Axes whose x is even in the logarithm of their values.
+        Axes with x even in the logarithm of their values.
 
     Returns
     -------
-    None where flights are too few for straight lines, or do not determine them.
+    None if the flights do not determine a linear surface.
     """
     low, high = at.min(axis=0), at.max(axis=0)
     log = tuple(name in even_in_log for name in axes)
     for quadratic in (True, False):
-        x = _terms(_scaled(at, low, high, log), quadratic)
+        x = _terms(at, (low, high), log, quadratic)
         flights, terms = x.shape
         if flights < _MIN_FLIGHTS_PER_TERM * terms or np.linalg.matrix_rank(x) < terms:
             continue
         q, root = np.linalg.qr(x)
         coefficients = np.linalg.solve(root, q.T @ score)
         freedom = flights - terms
-        sigma = math.sqrt(((score - x @ coefficients) ** 2).sum() / freedom)
         return ResponseSurface(
             axes=tuple(axes),
             low=low,
@@ -290,32 +309,27 @@ def fit_surface(
             quadratic=quadratic,
             coefficients=coefficients,
             root=root,
-            sigma=sigma,
+            sigma=math.sqrt(((score - x @ coefficients) ** 2).sum() / freedom),
             freedom=freedom,
         )
     return None
 
 
-def held_out(
+def cross_validate(
     axes: Sequence[str],
     at: Float[Array, "flight axis"],
     score: Float[Array, "flight"],
     design: Int[Array, "flight"],
     even_in_log: Container[str] = (),
 ) -> Float[Array, "flight 3"]:
-    """Each flight beside what flights of other designs predict of it; NaN where those fit no surface.
+    """Prediction of each flight, and its interval, from flights of other designs; NaN without a surface.
 
     Parameters
     ----------
     axes, at, score, even_in_log
-        As of `fit_surface`.
+        As for `fit_surface`.
     design
-        Which design each flew: replicates are left out together, a tenth of the designs at a time. Some
-        lie a little outside of what the others flew.
-
-    Returns
-    -------
-    Predicted, and the ends of its interval.
+        Number of each flight's design: replicates are left out together, a tenth of the designs at a time.
     """
     out = np.full((len(score), 3), np.nan)
     for fold in range(FOLDS):
@@ -329,80 +343,47 @@ def held_out(
 def surrogates(
     done: pd.DataFrame, axes: Sequence[str], response: str, channel: str, even_in_log: Container[str] = ()
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Surrogate of one score in one channel, and how well it predicts.
+    """Surrogate of one score in one channel, and its cross-validation.
 
     Parameters
     ----------
     done
         Finished rows of a study's table.
     axes
-        All that were varied; those that are not continuous are not told apart, and so widen the intervals.
+        All axes that were varied; those that are not continuous widen the intervals.
     response, channel
         The score.
     even_in_log
-        As of `fit_surface`.
+        As for `fit_surface`.
 
     Returns
     -------
-    ``axis``, ``value``, ``predicted``, ``low``, ``high`` of a flight along each axis, with the others in the
-    middle of what was flown; and one row of ``flights``, ``terms``, ``spread`` (standard deviation of the
-    score), ``error`` (root mean square of what is predicted of flights left out), ``held`` (share of them in
-    their intervals), ``held_low``, ``held_high`` (Clopper and Pearson's interval of 95 %). Both empty without
-    enough flights.
+    ``axis``, ``value``, ``predicted``, ``low``, ``high`` of a flight along each axis, with the others at the
+    middle of their ranges; and one row of ``flights``, ``terms``, ``spread`` (standard deviation of the
+    score), ``error`` (root mean square of the predictions), ``coverage`` of their intervals,
+    ``coverage_low``, ``coverage_high`` (Clopper and Pearson's interval of 95 %). Both empty without enough
+    flights.
     """
     mine = done[(done["channel"] == channel) & np.isfinite(done[response].to_numpy(dtype=float))]
-    names = continuous(mine[list(axes)])
+    names = continuous_axes(mine[list(axes)])
     at, score = mine[names].to_numpy(dtype=float), mine[response].to_numpy(dtype=float)
     surface = fit_surface(names, at, score, even_in_log) if names else None
-    of = mine["point"].to_numpy() // max(mine["replicate"].nunique(), 1)
-    left = held_out(names, at, score, of, even_in_log) if surface is not None else np.empty((0, 3))
-    if surface is None or not np.isfinite(left).all():
+    if surface is None:
         return pd.DataFrame(), pd.DataFrame()
-    lines = pd.concat([_along(surface, k) for k in range(len(names))], ignore_index=True)
-    inside = (score >= left[:, 1]) & (score <= left[:, 2])
-    sure = stats.binomtest(int(inside.sum()), len(inside)).proportion_ci(0.95)
+    design = mine["point"].to_numpy() // max(mine["replicate"].nunique(), 1)
+    predicted, low, high = cross_validate(names, at, score, design, even_in_log).T
+    if not np.isfinite(predicted).all():
+        return pd.DataFrame(), pd.DataFrame()
+    inside = (score >= low) & (score <= high)
+    interval_95 = stats.binomtest(int(inside.sum()), len(inside)).proportion_ci(0.95)
     check = {
         "flights": len(score),
         "terms": len(surface.coefficients),
         "spread": float(score.std(ddof=1)),
-        "error": float(np.sqrt(np.mean((score - left[:, 0]) ** 2))),
-        "held": float(inside.mean()),
-        "held_low": float(sure.low),
-        "held_high": float(sure.high),
+        "error": float(np.sqrt(np.mean((score - predicted) ** 2))),
+        "coverage": float(inside.mean()),
+        "coverage_low": float(interval_95.low),
+        "coverage_high": float(interval_95.high),
     }
+    lines = pd.concat([surface.along(k) for k in range(len(names))], ignore_index=True)
     return lines, pd.DataFrame([check])
-
-
-def _along(surface: ResponseSurface, axis: int) -> pd.DataFrame:
-    """Predictions along one axis, the others in the middle."""
-    at = np.tile(_middle(surface), (PLACES, 1))
-    ends = surface.low[axis], surface.high[axis]
-    at[:, axis] = np.geomspace(*ends, PLACES) if surface.log[axis] else np.linspace(*ends, PLACES)
-    predicted, low, high = surface.predict(at)
-    columns = {
-        "axis": surface.axes[axis],
-        "value": at[:, axis],
-        "predicted": predicted,
-        "low": low,
-        "high": high,
-    }
-    return pd.DataFrame(columns)
-
-
-def _middle(surface: ResponseSurface) -> Float[Array, "axis"]:
-    even, geometric = (surface.low + surface.high) / 2, np.sqrt(np.abs(surface.low * surface.high))
-    return np.where(surface.log, geometric, even)
-
-
-def _scaled(
-    at: Float[Array, "n axis"], low: Float[Array, "axis"], high: Float[Array, "axis"], log: Sequence[bool]
-) -> Float[Array, "n axis"]:
-    """Each value from −1 at the least to 1 at the largest that was flown."""
-    with np.errstate(divide="ignore", invalid="ignore"):  # of axes that are not even in the logarithm
-        at, low, high = (np.where(log, np.log(v), v) for v in (at, low, high))
-    return 2 * (at - low) / (high - low) - 1
-
-
-def _terms(x: Float[Array, "n axis"], quadratic: bool) -> Float[Array, "n term"]:
-    pairs = itertools.combinations_with_replacement(range(x.shape[1]), 2) if quadratic else ()
-    return np.stack([np.ones(len(x)), *x.T, *(x[:, i] * x[:, j] for i, j in pairs)], axis=-1)

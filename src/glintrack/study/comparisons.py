@@ -17,69 +17,51 @@ from glintrack.core.arrays import Array
 from glintrack.core.designs import validate_design
 from glintrack.metrics.requirement import jackknife
 from glintrack.study.analysis import labels
-from glintrack.study.design import Axis, Contrast, Level, StudyDesign
-from glintrack.study.intervals import FEW_UNITS, estimated, interval, mean_draws, units
+from glintrack.study.design import CHANNEL, Axis, Contrast, Level, StudyDesign
+from glintrack.study.intervals import FEW_UNITS, estimate, interval, mean_draws, units
 
-CHANNEL = "channel"
 DOLP_LESS_PAN = Contrast(label="DoLP less pan", of={CHANNEL: "dolp"}, against={CHANNEL: "pan"})
 AA_TESTS = 20
 MIN_RANKED_DESIGNS = 3  # of two designs, τ is 1 or −1
 
 
 def check_contrasts(design: StudyDesign, axes: Sequence[Axis]) -> None:
-    """Refuse a contrast whose sides name what the study does not vary, or not the same axes.
+    """Check that the contrasts of a study name values of its axes.
 
     Raises
     ------
     ValueError
-        In one sentence: which contrast, and what it must name.
+        In one sentence: the contrast, and the names that it must have.
     """
-    known: dict[str, list[Level]] = {
-        CHANNEL: list(GROUPS),
-        **{axis.name: list(axis.labels) for axis in axes},
-    }
+    known: dict[str, list[Level]] = {CHANNEL: list(GROUPS)} | {axis.name: list(axis.labels) for axis in axes}
     for contrast in design.contrasts:
-        where = f"contrasts of {contrast.label!r}"
-        _check_sides(contrast)
-        for side in (contrast.of, contrast.against):
-            for name, level in side.items():
-                if level not in known.get(name, []):
-                    raise ValueError(
-                        f"`{where}` must name values of the study's axes, got {name} = {level!r} "
-                        f"(of {known.get(name) or sorted(known)})"
-                    )
+        for name, level in [*contrast.of.items(), *contrast.against.items()]:
+            if level not in known.get(name, []):
+                raise ValueError(
+                    f"`contrasts of {contrast.label!r}` must name values of the study's axes, got {name} = "
+                    f"{level!r} (of {known.get(name) or sorted(known)})"
+                )
 
 
-def _check_sides(contrast: Contrast) -> None:
-    """Refuse sides that leave different axes open, whose points would have no partners."""
-    if set(contrast.of) != set(contrast.against) or CHANNEL not in contrast.of:
-        raise ValueError(
-            f"`contrasts of {contrast.label!r}` must name `channel` and the same axes in `of` and `against`, "
-            f"got {sorted(contrast.of)} and {sorted(contrast.against)}"
-        )
-
-
-def asked_contrasts(design: Mapping[str, Any], axes: Sequence[str]) -> tuple[Contrast, ...]:
-    """The contrasts of a study's design as its results hold it.
+def design_contrasts(design: Mapping[str, Any], axes: Sequence[str]) -> tuple[Contrast, ...]:
+    """Contrasts of a study's design in its results.
 
     Raises
     ------
     ValueError
-        If what stands there is none, or names no axis of the study.
+        If one is not valid, or names no axis of the study.
     """
-    asked = tuple(validate_design(Contrast, one) for one in design.get("contrasts", ()))
-    for contrast in asked:
-        _check_sides(contrast)
-        unknown = set(contrast.of) - {CHANNEL, *axes}
-        if unknown:
+    contrasts = tuple(validate_design(Contrast, one) for one in design.get("contrasts", ()))
+    for contrast in contrasts:
+        if unknown := set(contrast.of) - {CHANNEL, *axes}:
             raise ValueError(f"`contrasts` must name axes of the study, got {sorted(unknown)}")
-    return asked
+    return contrasts
 
 
 def contrast_scores(
     table: pd.DataFrame, axes: Sequence[str], response: str, contrast: Contrast, rng: np.random.Generator
 ) -> pd.DataFrame:
-    """Difference of a score between the sides of a contrast, at each point of the axes that neither names.
+    """Difference of a score between the sides of a contrast, at each point of all other axes.
 
     Parameters
     ----------
@@ -88,15 +70,14 @@ def contrast_scores(
     response
         The score.
     contrast
-        Its sides, checked.
+        The contrast.
     rng
         Random generator of the bootstrap.
 
     Returns
     -------
-    ``point`` (what it differs in from the first one, ``base``), ``effect``, ``low``, ``high``, ``p_max_t``;
-    the last row, ``all``, is the mean over points, and the only one where there is a single point. Empty
-    where either side has no finished case.
+    ``point`` (its label), ``effect``, ``low``, ``high``, ``p_max_t``; the last row, ``all``, is the mean over
+    points, and the only one of a single point. Empty where either side has no finished case.
     """
     left = [axis for axis in axes if axis not in contrast.of]
     of = _side(table, left, response, dict(contrast.of))
@@ -107,15 +88,15 @@ def contrast_scores(
     difference = np.stack([of[key] - against[key] for key in common])
     mean = np.full((1, len(common)), 1 / len(common))
     each = len(common) > 1  # one point is its own mean
-    found = estimated(np.vstack([np.eye(len(common)), mean]) if each else mean, difference, rng)
+    found = estimate(np.vstack([np.eye(len(common)), mean]) if each else mean, difference, rng)
     names = [*labels(pd.DataFrame(common, columns=left)), "all"] if each else ["all"]
-    return pd.DataFrame({"point": names}).join(found.table())
+    return pd.DataFrame({"point": names}).join(found.to_frame())
 
 
 def _side(
     table: pd.DataFrame, left: Sequence[str], response: str, levels: dict[str, Level]
 ) -> dict[tuple, Float[Array, "unit"]]:
-    """Each point's score by unit, by the levels of what one side leaves open; empty if nothing is scored."""
+    """Score of each point by unit, by the levels of the other axes; empty without a finished case."""
     channel = str(levels.pop(CHANNEL))
     mine = table
     for name, level in levels.items():
@@ -128,16 +109,16 @@ def _side(
 
 
 def all_contrasts(
-    table: pd.DataFrame, axes: Sequence[str], responses: Sequence[str], asked: Sequence[Contrast], seed: int
+    table: pd.DataFrame, axes: Sequence[str], responses: Sequence[str], listed: Sequence[Contrast], seed: int
 ) -> pd.DataFrame:
-    """Every contrast that a study asks for, in each score; DoLP less pan where it asks for none.
+    """Every listed contrast in each score; DoLP less pan if none is listed.
 
     Returns
     -------
     ``contrast``, ``response`` and the columns of `contrast_scores`.
     """
     parts = []
-    for contrast in asked or (DOLP_LESS_PAN,):
+    for contrast in listed or (DOLP_LESS_PAN,):
         for response in responses:
             found = contrast_scores(table, axes, response, contrast, np.random.default_rng(seed))
             if len(found):
@@ -158,53 +139,51 @@ def rank_agreement(
     Parameters
     ----------
     table
-        Of the study's results.
+        Results of the study.
     axes
-        All of them; designs are the points of the others.
+        All axes; designs are the points of the others.
     under
         The axis, such as detector, tracker or city.
     response, channel
         The score by which designs are ranked.
     rng
-        Of the bootstrap.
+        Random generator of the bootstrap.
 
     Returns
     -------
-    ``under``, ``first``, ``second``, ``designs`` (how many), ``tau``, ``low``, ``high``; empty with fewer
+    ``under``, ``first``, ``second``, ``designs`` (their number), ``tau``, ``low``, ``high``; empty with fewer
     than three designs in common.
     """
-    others = [axis for axis in axes if axis != under]
-    found = {
-        level: units(table[table[under] == level], others, response, channel).by_levels()
-        for level in dict.fromkeys(table[under])
-    }
-    rows = []
+    others, found, rows = [axis for axis in axes if axis != under], {}, []
+    for level in dict.fromkeys(table[under]):
+        of = units(table[table[under] == level], others, response, channel)
+        found[level] = dict(zip(map(tuple, of.points.astype(object).to_numpy()), of.values, strict=True))
     for (first, a), (second, b) in itertools.combinations(found.items(), 2):
         common = [key for key in a if key in b]
         if len(common) < MIN_RANKED_DESIGNS:
             continue
         values = np.concatenate([[a[key] for key in common], [b[key] for key in common]])
         tau = _agreement(mean_draws(values, rng))
-        low, high = interval(tau[1:]) if len(tau) > 1 else _of_few(values)
+        low, high = interval(tau[1:]) if len(tau) > 1 else _jackknife_interval(values)
         designs = {"under": under, "first": str(first), "second": str(second), "designs": len(common)}
         rows.append({**designs, "tau": tau[0], "low": float(low), "high": float(high)})
     return pd.DataFrame(rows)
 
 
 def _agreement(means: Float[Array, "draw point"]) -> Float[Array, "draw"]:
-    """τ of the first half of the points with the second."""
+    """Kendall's τ of the first half of the points with the second."""
     half = means.shape[1] // 2
     return kendall_tau(means[:, :half], means[:, half:])
 
 
-def _of_few(values: Float[Array, "point unit"]) -> tuple[float, float]:
-    """Interval of τ of units too few to draw from: Student's, of the jackknife; NaN for a single unit."""
+def _jackknife_interval(values: Float[Array, "point unit"]) -> tuple[float, float]:
+    """Student's interval of τ from the jackknife, for few units; NaN for a single unit."""
     values = values[:, np.isfinite(values).any(axis=0)]
     if values.shape[1] < 2:
         return np.nan, np.nan
 
-    def tau(kept: Sequence[int]) -> float:
-        return float(_agreement(np.nanmean(values[:, list(kept)], axis=1)[None])[0])
+    def tau(chosen: Sequence[int]) -> float:
+        return float(_agreement(np.nanmean(values[:, list(chosen)], axis=1)[None])[0])
 
     _, low, high = jackknife(tau, values.shape[1])
     return max(low, -1.0), min(high, 1.0)
@@ -222,18 +201,18 @@ def kendall_tau(a: Float[Array, "*draw n"], b: Float[Array, "*draw n"]) -> Float
 def aa_test(
     table: pd.DataFrame, axes: Sequence[str], response: str, channels: Sequence[str], rng: np.random.Generator
 ) -> pd.DataFrame:
-    """Compare designs with themselves, to see whether a study's intervals hold what they promise (A/A test).
+    """Compare designs with themselves, to check the coverage of a study's intervals (A/A test).
 
-    The flights of one design are dealt into two halves by chance and paired as two designs would be. Nothing
-    differs but traffic and noise, so that an interval of 95 % may exclude 0 once in twenty. Only whole
-    flights are dealt: blocks of one flight are not independent, and in another order they would look so.
+    The flights of one design are divided into two random halves and paired as two designs would be. Only
+    traffic and noise differ, so that an interval of 95 % excludes 0 once in twenty. Whole flights are used,
+    as blocks of one flight are correlated.
 
     Parameters
     ----------
     table, axes
         Results of the study, and all its axes.
     response, channels
-        The score, and where it is taken.
+        The score, and its channels.
     rng
         Random generator of the halves and the bootstrap.
 
@@ -254,8 +233,8 @@ def aa_test(
     for k in range(AA_TESTS if designs else 0):
         named, score = designs[k % len(designs)]
         half = len(score) // 2
-        dealt = rng.permutation(score)
-        of = estimated(np.eye(1), (dealt[:half] - dealt[half : 2 * half])[None], rng)
+        mixed = rng.permutation(score)
+        of = estimate(np.eye(1), (mixed[:half] - mixed[half : 2 * half])[None], rng)
         row = {"effect": float(of.value[0]), "low": float(of.low[0]), "high": float(of.high[0])}
         rows.append({**named, **row, "excludes": row["low"] > 0 or row["high"] < 0})
     return pd.DataFrame(rows)

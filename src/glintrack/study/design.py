@@ -1,4 +1,4 @@
-"""The file of a study: base case, axes named by the case's own keys, and the points of a design."""
+"""File of a study: base case, axes named by the case's keys, and the points of a design."""
 
 import itertools
 import math
@@ -17,9 +17,10 @@ from glintrack.core.arrays import Array
 from glintrack.core.designs import Design, validate_design
 from glintrack.io.toml import read_toml
 
+CHANNEL = "channel"
 SAMPLED = ("latin-hypercube", "sobol", "saltelli")
 POWERS_OF_TWO = ("sobol", "saltelli")
-MOST_CASES = 100_000
+MAX_CASES = 100_000
 _OF_CASES = {"like", "channels", "scene", "atmosphere", "flight", "sensor", "track"}
 _Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]
 Level = bool | int | float | str
@@ -27,7 +28,7 @@ _COLUMNS = {"point", "replicate", "case", "channel", "status", "over_time", "com
 
 
 class Constraints(Design):
-    """What follows from other keys in every case; the ``[constraints]`` table of a study."""
+    """Keys that follow from other keys in every case; the ``[constraints]`` table of a study."""
 
     slant_range_m: float | None = Field(
         default=None, ge=200, le=50000, description="Altitude follows the off-nadir angle at this slant range"
@@ -52,27 +53,37 @@ class Contrast(Design):
     @field_validator("of", "against")
     @classmethod
     def _plain_values(cls, side: dict[str, Any]) -> dict[str, Any]:
-        """The side with dotted keys."""
+        """Side with dotted keys."""
         levels = flat(side)
         for name, level in levels.items():
             if not isinstance(level, (bool, int, float, str)):
                 raise ValueError(f"`{name}` must be one value of its axis, got {level!r:.60}")
         return levels
 
+    @model_validator(mode="after")
+    def _check_sides(self) -> Self:
+        """Sides with different axes would have points without partners."""
+        if set(self.of) != set(self.against) or CHANNEL not in self.of:
+            raise ValueError(
+                f"`contrasts of {self.label!r}` must name `channel` and the same axes in `of` and `against`, "
+                f"got {sorted(self.of)} and {sorted(self.against)}"
+            )
+        return self
+
 
 class StudyDesign(Design):
-    """A trade study: which cases to fly, and how; what ``glintrack study`` reads."""
+    """Trade study: its cases and their simulation; the file of ``glintrack study``."""
 
     name: str = Field(default="study", min_length=1, max_length=80)
-    """What the study's folder and pictures are called by."""
+    """Name of the study's folder and pictures."""
     case: str = Field(default="quickstart", description="Base case: a file beside the study, or packaged")
     design: Literal["one-at-a-time", "factorial", "latin-hypercube", "sobol", "saltelli", "list"] = Field(
         default="one-at-a-time", description="How the axes are combined"
     )
     samples: int | None = Field(
-        default=None, ge=1, le=MOST_CASES, description="Points of a sampled design; Sobol's: a power of two"
+        default=None, ge=1, le=MAX_CASES, description="Points of a sampled design; Sobol's: a power of two"
     )
-    sampling_seed: _Seed = Field(default=0, description="Of the scrambled or shuffled points")
+    sampling_seed: _Seed = Field(default=0, description="Seed of the scrambled or shuffled points")
     seeds: tuple[_Seed, ...] = Field(default=(), description="Replicates that differ in the case's seed only")
     replicates: tuple[dict[str, Any], ...] = Field(
         default=(), description="Replicates as tables of keys, e.g. seed and flight.start_s"
@@ -98,7 +109,7 @@ class StudyDesign(Design):
         return given
 
     @model_validator(mode="after")
-    def _what_the_design_needs(self) -> Self:
+    def _check_design(self) -> Self:
         if (self.design == "list") != bool(self.cases) or (self.design == "list" and self.axes):
             raise ValueError(
                 "`cases` must be given with design = 'list' and only then, and `axes` with every other, got "
@@ -128,7 +139,7 @@ class StudyDesign(Design):
 
     @property
     def replicate_keys(self) -> tuple[dict[str, Any], ...]:
-        """Keys of each replicate, dotted; one empty replicate if none is asked for."""
+        """Dotted keys of each replicate; a single replicate without keys by default."""
         if self.seeds:
             return tuple({"seed": seed} for seed in self.seeds)
         return tuple(flat(table) for table in self.replicates) or ({},)
@@ -140,7 +151,7 @@ def read_study(path: str | Path) -> StudyDesign:
     Raises
     ------
     ValueError
-        In one sentence: what is wrong with the file, a key or a value.
+        In one sentence: the fault of the file, a key or a value.
     """
     values = read_toml(path, "study")
     if _OF_CASES & set(values) and not {"axes", "case"} & set(values):
@@ -153,7 +164,7 @@ def read_study(path: str | Path) -> StudyDesign:
 
 
 def flat(table: dict[str, Any], stem: str = "") -> dict[str, Any]:
-    """Nested tables as one with dotted keys; a table that says ``from`` and ``to`` is a value, a range."""
+    """Nested tables as one with dotted keys; a table with ``from`` and ``to`` is a value, a range."""
     out: dict[str, Any] = {}
     for key, value in table.items():
         name = f"{stem}{key}"
@@ -165,7 +176,7 @@ def flat(table: dict[str, Any], stem: str = "") -> dict[str, Any]:
 
 
 class Range(Design):
-    """An axis of all values between two, for sampled designs."""
+    """Axis of all values between two, for sampled designs."""
 
     model_config = ConfigDict(populate_by_name=True)
 
@@ -177,16 +188,16 @@ class Range(Design):
 
 @dataclass(frozen=True)
 class Axis:
-    """One thing that a study varies.
+    """Axis of a study.
 
     Parameters
     ----------
     name
-        The case's key, or a name of the study's own if each value sets several keys.
+        Key of the case, or a name of the study if each value sets several keys.
     labels, keys
-        What each value is called, and the keys it sets; empty for a range.
+        Label of each value, and the keys that it sets; empty for a range.
     span
-        The range, where the axis has one.
+        Range of the axis, if it has one.
     """
 
     name: str
@@ -210,20 +221,19 @@ class Axis:
 
     @property
     def ends(self) -> tuple[tuple[Level, dict[str, Any]], ...]:
-        """Every value of a list, first and last of a range: what has to be valid before anything flies."""
+        """All values of a list, or first and last of a range, for validation."""
         if self.span is None:
             return tuple(zip(self.labels, self.keys, strict=True))
         return self.at(0.0), self.at(1.0)
 
 
 def build_axes(design: StudyDesign) -> tuple[Axis, ...]:
-    """The axes of a study.
+    """Axes of a study.
 
     Raises
     ------
     ValueError
-        If one has no values, repeats one, sets a key that another sets too, or has a range where the design
-        needs a list.
+        If one has no values or repeats one, if two set one key, or if the design needs a list for a range.
     """
     axes = tuple(_axis(name, value) for name, value in flat(design.axes).items())
     owner: dict[str, str] = {}
@@ -266,7 +276,8 @@ def _axis(name: str, value: Any) -> Axis:
         keys = tuple(flat({k: v for k, v in table.items() if k != "label"}) for table in value)
     else:
         labels = tuple(v if isinstance(v, (bool, int, float, str)) else str(v) for v in value)
-        if any(isinstance(v, dict) for v in value) or len({_kind(v) for v in labels}) > 1:
+        kinds = {float if type(v) is int else type(v) for v in labels}
+        if any(isinstance(v, dict) for v in value) or len(kinds) > 1:
             raise ValueError(f"`axes.{name}` must hold values of one type, got {value}")
         keys = tuple({name: v} for v in value)
     if len(set(labels)) != len(labels):
@@ -274,12 +285,8 @@ def _axis(name: str, value: Any) -> Axis:
     return Axis(name, labels, keys)
 
 
-def _kind(value: Level) -> type:
-    return float if isinstance(value, (int, float)) and not isinstance(value, bool) else type(value)
-
-
 def unit_points(design: StudyDesign, axes: tuple[Axis, ...]) -> Float[Array, "point axis"]:
-    """Where a design asks for its axes, each in the unit interval.
+    """Points of a design, each axis in the unit interval.
 
     One-at-a-time: all first values, then each axis's others with the rest at their first. Saltelli: for each
     sample A, B, and A with one axis after the other taken from B.

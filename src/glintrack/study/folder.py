@@ -1,4 +1,4 @@
-"""The folder of a study: finished cases, tracebacks of failed ones, and all results as one table."""
+"""Folder of a study: finished cases, tracebacks of failed ones, and all results as one table."""
 
 # pandas' overloads give an index of a frame more types than it can have
 # pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
@@ -25,8 +25,8 @@ from glintrack.case.design import Case
 from glintrack.io import atomic, netcdf
 from glintrack.io.atomic import content_hash
 from glintrack.io.toml import to_toml
-from glintrack.io.untrusted import check_file, is_file, read_json
-from glintrack.study.comparisons import asked_contrasts
+from glintrack.io.untrusted import check_file, read_json
+from glintrack.study.comparisons import design_contrasts
 from glintrack.study.design import flat
 from glintrack.study.plan import DECIDE_SCORES, FORMAT, Plan, source_key
 
@@ -39,39 +39,31 @@ _SCORES = "scores.json"
 FIRST_COLUMNS = ("point", "replicate", "case", "channel", "status")
 RESULTS = "results.parquet"
 VIEW = ("gsd_across_m", "gsd_along_m", "window_km2")
-_MOST_BYTES = 2_000_000_000
+_MAX_BYTES = 2_000_000_000
 _UNITS = {"_mbit_s": "Mbit s-1", "_per_km2": "km-2", "_km2": "km2", "_m": "m", "_db": "dB", "_deg": "degree"}
-_UNITS = {
-    "_mbit_s": "Mbit s-1",
-    "_per_km2": "km-2",
-    "_km2": "km2",
-    "_m": "m",
-    "_db": "dB",
-    "_deg": "degree",
-}
 
 
 class StudyFolder:
-    """A study's results on disk.
+    """Results of a study on disk.
 
     Parameters
     ----------
     path
-        New, or a folder of the same study, which is then resumed.
+        New folder, or that of the same study, which is then resumed.
     """
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
-        self._whole: dict[str, dict[str, Any]] = {}  # cases whose files have been held against their hashes
+        self._whole: dict[str, dict[str, Any]] = {}  # outcomes of cases with correct hashes
 
     @contextmanager
-    def opened(self, plan: Plan):
-        """Hold the folder for one driver; what an earlier one left half written is removed.
+    def open(self, plan: Plan):
+        """Lock the folder for one driver, and remove incomplete files of an earlier one.
 
         Raises
         ------
         ValueError
-            If it is another study's or another version's, holds other files, is in use, or cannot be written.
+            If it is of another study or version, contains other files, is in use, or cannot be written.
         """
         self.check(plan)
         try:
@@ -90,8 +82,10 @@ class StudyFolder:
             for left in (self.path / "cases").glob(".*.partial"):
                 shutil.rmtree(left, ignore_errors=True)
             if not (self.path / _HEAD).exists():
-                head = {"format": FORMAT, "study": plan.key, "name": plan.design.name}
-                head |= {
+                head = {
+                    "format": FORMAT,
+                    "study": plan.key,
+                    "name": plan.design.name,
                     "glintrack": version("glintrack"),
                     "source": source_key(),
                     "points": len(plan.points),
@@ -101,12 +95,12 @@ class StudyFolder:
             yield self
 
     def check(self, plan: Plan) -> None:
-        """Whether the folder may hold this study.
+        """Check that the folder is new or of this study.
 
         Raises
         ------
         ValueError
-            If it is another study's or another version's, or holds other files.
+            If it is of another study or version, or contains other files.
         """
         if not self.path.exists():
             return
@@ -123,10 +117,9 @@ class StudyFolder:
             )
         if head.get("source") != source_key():
             raise ValueError(
-                f"`output` must hold results of the source that runs now, got {self.path} of other source of "
-                f"glintrack {head['glintrack']}, or other versions of {', '.join(DECIDE_SCORES)}, also one "
-                "installed since: their scores must not mix (choose another -o, or go back; glintrack study "
-                "report reads the folder as it is)"
+                f"`output` must have results of the current source code, got {self.path} of other source of "
+                f"glintrack {head['glintrack']} or other versions of {', '.join(DECIDE_SCORES)} (choose "
+                "another -o, or go back; glintrack study report reads the folder as it is)"
             )
         if head["study"] != plan.key:
             raise ValueError(
@@ -135,12 +128,12 @@ class StudyFolder:
             )
 
     def head(self) -> dict[str, Any]:
-        """Whose folder it is.
+        """Study and version of the folder.
 
         Raises
         ------
         ValueError
-            If it is no study's, or of a newer format.
+            If it is not the folder of a study, or of a newer format.
         """
         try:
             head = read_json(self.path / _HEAD, _HEAD)
@@ -158,8 +151,8 @@ class StudyFolder:
             )
         return head
 
-    def finished(self, case_key: str) -> dict[str, Any] | None:
-        """What a finished case outcome; None if it has to be flown. A folder that is not whole is removed."""
+    def outcome(self, case_key: str) -> dict[str, Any] | None:
+        """Outcome of a finished case; None if it must be simulated. An incomplete folder is removed."""
         folder = self.path / "cases" / case_key
         if not folder.exists():
             return None
@@ -167,8 +160,10 @@ class StudyFolder:
             return self._whole[case_key]
         try:
             outcome = read_json(folder / _SCORES, _SCORES)
-            files = outcome["sha256"]
-            if all(_is_whole(folder, name, digest) for name, digest in files.items()):
+            if all(
+                Path(name).name == name and content_hash((folder / name).read_bytes()) == digest
+                for name, digest in outcome["sha256"].items()
+            ):
                 self._whole[case_key] = outcome
                 return outcome
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -176,15 +171,15 @@ class StudyFolder:
         shutil.rmtree(folder, ignore_errors=True)
         return None
 
-    def spent(self, case_keys: Iterable[str]) -> dict[str, float]:
-        """What the finished of some cases took: ``flights``, ``frames``, ``cpu_s``, on whichever machines."""
-        flown = [outcome for key in case_keys if (outcome := self.finished(key)) is not None]
-        frames = sum(max(of.get("epochs", 0) for of in outcome["scores"].values()) for outcome in flown)
-        cpu_s = sum(outcome["cpu_seconds"] for outcome in flown)
-        return {"flights": len(flown), "frames": int(frames), "cpu_s": cpu_s}
+    def cost(self, case_keys: Iterable[str]) -> dict[str, float]:
+        """Number of finished ``flights`` and their ``frames``, and their processor time ``cpu_s``. [1, s]"""
+        done = [outcome for key in case_keys if (outcome := self.outcome(key)) is not None]
+        frames = sum(max(of.get("epochs", 0) for of in outcome["scores"].values()) for outcome in done)
+        cpu_s = sum(outcome["cpu_seconds"] for outcome in done)
+        return {"flights": len(done), "frames": int(frames), "cpu_s": cpu_s}
 
     def publish(self, case_key: str, outcome: Mapping[str, Any]) -> None:
-        """Give a finished case its folder in one step, on the disk and not only in its cache."""
+        """Write the folder of a finished case in one step, and flush it to the disk."""
         target = self.path / "cases" / case_key
         partial = target.with_name(f".{case_key}.partial")
         files = outcome["files"]
@@ -203,27 +198,21 @@ class StudyFolder:
             shutil.rmtree(partial, ignore_errors=True)
             raise
 
-    def note_failure(self, case_key: str, case: Case, error: str, number: int) -> None:
-        """Keep the traceback of a case's failed attempt, with the case."""
+    def record_failure(self, case_key: str, case: Case, error: str, number: int) -> None:
+        """Write the traceback of a case's failed attempt, with the case."""
         folder = self.path / "failed" / case_key
         folder.mkdir(parents=True, exist_ok=True)
         atomic.write_text(folder / "case.toml", to_toml(case))
         atomic.write_text(folder / f"attempt-{number}.txt", error)
 
-    def forget_failure(self, case_key: str) -> None:
-        """A case that has failed before is tried anew."""
+    def remove_failure(self, case_key: str) -> None:
+        """Remove tracebacks of a case that is tried again."""
         shutil.rmtree(self.path / "failed" / case_key, ignore_errors=True)
 
     def failure(self, case_key: str) -> str | None:
-        """Last line of the last traceback kept of a case."""
+        """Last line of the last traceback of a case; None without one."""
         found = sorted((self.path / "failed" / case_key).glob("attempt-*.txt"))
         return found[-1].read_text(encoding="utf-8").strip().splitlines()[-1] if found else None
-
-
-def _is_whole(folder: Path, name: str, digest: str) -> bool:
-    """Whether a file of a case's own folder is there as it was written."""
-    path = folder / name
-    return Path(name).name == name and is_file(path) and content_hash(path.read_bytes()) == digest
 
 
 def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
@@ -231,27 +220,19 @@ def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
 
     Returns
     -------
-    ``point``, ``replicate``, ``case``, ``channel``, ``status`` (finished, failed or missing), a column an
-    axis, what the case sees of the ground (`VIEW`), the scores, and ``over_time``: JSON of the scores frame
-    by frame.
+    ``point``, ``replicate``, ``case``, ``channel``, ``status`` (finished, failed or missing), a column for
+    each axis, the view of the ground (`VIEW`), the scores, and ``over_time``: JSON of the scores by frame.
     """
-    outcomes = {key: folder.finished(key) for key in plan.cases}
-    rows = []
+    outcomes, rows = {key: folder.outcome(key) for key in plan.cases}, []
     for point in plan.points:
         found = outcomes[point.case_key]
         case = plan.cases[point.case_key]
         status = "finished" if found else "failed" if folder.failure(point.case_key) else "missing"
         for channel in case.channels:
-            row: dict[str, Any] = {
-                "point": point.index,
-                "replicate": point.replicate,
-                "case": point.case_key,
-                "channel": channel,
-                "status": status,
-                **point.levels,
-            }
+            first = (point.index, point.replicate, point.case_key, channel, status)
+            row: dict[str, Any] = {**dict(zip(FIRST_COLUMNS, first, strict=True)), **point.levels}
             (across_m, along_m), (width_m, depth_m) = ground_view(case)
-            row |= {"gsd_across_m": across_m, "gsd_along_m": along_m, "window_km2": 1e-6 * width_m * depth_m}
+            row |= dict(zip(VIEW, (across_m, along_m, 1e-6 * width_m * depth_m), strict=True))
             scores = dict(found["scores"].get(channel, {})) if found else {}
             row["over_time"] = json.dumps(scores.pop("over_time", {}), sort_keys=True)
             rows.append(row | scores)
@@ -262,7 +243,7 @@ def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
 
 
 def provenance(plan: Plan) -> dict[str, Any]:
-    """What the results come from, the same on every host."""
+    """Provenance of the results, the same on every host."""
     design = plan.design.model_dump(mode="json", exclude_none=True)
     axes = list(dict.fromkeys(name for point in plan.points for name in point.levels))
     return {
@@ -293,43 +274,42 @@ def write_results(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
 
 
 def read_results(path: str | Path) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """The table of a study's folder and where it comes from.
+    """Read the table of a study's folder and its provenance.
 
     Raises
     ------
     ValueError
-        If it is no study's folder, of a newer format, or holds no results yet.
+        If it is not a study's folder, of a newer format, or without results.
     """
     folder = StudyFolder(path)
     folder.head()
     try:
-        arrow = pyarrow.parquet.read_table(check_file(folder.path / RESULTS, RESULTS, _MOST_BYTES))
-        arrow.validate(full=True)  # text that is none would be found by whoever looks at it
+        arrow = pyarrow.parquet.read_table(check_file(folder.path / RESULTS, RESULTS, _MAX_BYTES))
+        arrow.validate(full=True)
         source = json.loads((arrow.schema.metadata or {})[b"glintrack"])
         table = arrow.to_pandas()
     except (OSError, KeyError, ValueError, RecursionError, pa.ArrowException) as error:
         raise ValueError(
             f"`result` must hold {RESULTS}, got {folder.path} without a readable one (run the study first)"
         ) from error
-    fault = _fault_of(table, source)
-    if fault:
+    if fault := _find_fault(table, source):
         raise ValueError(f"`{RESULTS}` must be a study's table, got {fault} in {folder.path}")
     return table, source
 
 
-def finished_replicates(table: pd.DataFrame) -> pd.DataFrame:
-    """The replicates of which a case is finished, as if there were no others; all of them if none is."""
-    there = sorted(set(table.loc[table["status"] == "finished", "replicate"]))
-    asked = table["replicate"].nunique()
-    if not there or len(there) == asked:
+def select_finished_replicates(table: pd.DataFrame) -> pd.DataFrame:
+    """Rows of the replicates with a finished case, numbered without gaps; all rows if none is finished."""
+    done = sorted(set(table.loc[table["status"] == "finished", "replicate"]))
+    planned = table["replicate"].nunique()
+    if not done or len(done) == planned:
         return table
-    mine = table[table["replicate"].isin(there)]
-    place = mine["replicate"].map({replicate: k for k, replicate in enumerate(there)})
-    return mine.assign(point=mine["point"] // asked * len(there) + place, replicate=place)
+    mine = table[table["replicate"].isin(done)]
+    place = mine["replicate"].map({replicate: k for k, replicate in enumerate(done)})
+    return mine.assign(point=mine["point"] // planned * len(done) + place, replicate=place)
 
 
-def _fault_of(table: pd.DataFrame, source: Any) -> str:
-    """What a table lacks to be a study's; empty if nothing."""
+def _find_fault(table: pd.DataFrame, source: Any) -> str:
+    """First fault of a study's table or its provenance; empty if there is none."""
     columns = [str(column) for column in table.columns]
     source = source if isinstance(source, dict) else {}
     axes, design = source.get("axes"), source.get("design")
@@ -340,8 +320,13 @@ def _fault_of(table: pd.DataFrame, source: Any) -> str:
         return "no list of axes"
     if not (isinstance(design, dict) and isinstance(design.get("design"), str)):
         return "no design"
-    if fault := _fault_of_asked(design, axes):
-        return fault
+    try:
+        flat(design.get("axes", {}))
+        design_contrasts(design, axes)
+        if not all(one in axes for one in design.get("ranked_under", [])):
+            return "ranks of no axis"
+    except (AttributeError, TypeError, ValueError, RecursionError):
+        return "contrasts or ranks of no axis"
     for name in ("point", "replicate"):
         if not pd.api.types.is_integer_dtype(table[name]) or (table[name] < 0).any():
             return f"a {name} that is no number from 0"
@@ -351,52 +336,24 @@ def _fault_of(table: pd.DataFrame, source: Any) -> str:
     for name in table.columns.difference([*FIRST_COLUMNS, "over_time", *axes]):
         if not pd.api.types.is_numeric_dtype(table[name]):
             return f"words in column {name}"
-    return "" if all(map(_is_series, table["over_time"])) else "scores over time that are no numbers"
-
-
-def _fault_of_asked(design: Mapping[str, Any], axes: list[str]) -> str:
-    """What is wrong with the contrasts and ranks that a design asks for; empty if nothing."""
-    under = design.get("ranked_under", [])
     try:
-        flat(design.get("axes", {}))
-        asked_contrasts(design, axes)
-        return "" if all(one in axes for one in under) else "ranks of no axis"
-    except (AttributeError, TypeError, ValueError, RecursionError):
-        return "contrasts or ranks of no axis"
-
-
-def _is_series(text: str) -> bool:
-    """Whether a text is JSON of lists of numbers by score."""
-    try:
-        told = json.loads(text)
-        return all(np.isfinite(np.array(one, dtype=float)).ndim == 1 for one in told.values())
+        lists = [one for text in table["over_time"] for one in json.loads(text).values()]
+        series = [np.array(one, dtype=float) for one in lists]
+        return "" if all(one.ndim == 1 for one in series) else "scores over time that are no lists"
     except (ValueError, TypeError, AttributeError, RecursionError, OverflowError):
-        return False
+        return "scores over time that are no numbers"
 
 
 def to_dataset(table: pd.DataFrame, source: Mapping[str, Any]) -> xr.Dataset:
     """Scores over point and channel, with the levels as coordinates of the point."""
     axes = list(source["axes"])
-    points, channels = np.unique(table["point"]), sorted(set(table["channel"]))
-    keyed = table.set_index(["point", "channel"])
-    first = table.drop_duplicates("point").set_index("point").loc[points]
     scores = [c for c in table if c not in {*FIRST_COLUMNS, *axes, "over_time"}]
-    index = pd.MultiIndex.from_product([points, channels])
-    values = {
-        name: (
-            ("point", "channel"),
-            keyed[name].reindex(index).to_numpy(dtype=float).reshape(len(points), len(channels)),
-            {"units": _unit(name)},
-        )
-        for name in scores
-    }
-    coords: dict[str, Any] = {"point": points, "channel": channels}
+    out = table.set_index(["point", "channel"])[scores].astype(float).to_xarray()
+    for name in scores:
+        units = (unit for ending, unit in _UNITS.items() if str(name).endswith(ending))
+        out[name].attrs["units"] = next(units, "1")
+    first = table.drop_duplicates("point").set_index("point").loc[out["point"].values]
     for name in ("replicate", "case", *axes):
         column = first[name].to_numpy()
-        coords[name] = ("point", column if column.dtype.kind in "ifb" else column.astype(str))
-    return xr.Dataset(values, coords, {"provenance": json.dumps(source, sort_keys=True)})
-
-
-def _unit(name: str) -> str:
-    """Unit of a score by the ending of its name."""
-    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "1")
+        out.coords[name] = ("point", column if column.dtype.kind in "ifb" else column.astype(str))
+    return out.assign_attrs(provenance=json.dumps(source, sort_keys=True))

@@ -1,12 +1,12 @@
-"""Intervals of a study: scores by point and unit, what is estimated of them, and how surely.
+"""Intervals of a study: scores by point and unit, estimates and their significance.
 
-Every interval is over *units*, which all cases share: replicates where there are eight and more; else, for
-scores kept over time, the flight's length in equal blocks. Cases stay paired, as they see the same traffic at
-one time. Intervals are expanded percentiles of a bootstrap [Hesterberg 2015], of Student's width where scores
-are normal; with fewer than eight units Student's own. Blocks next to each other are not independent, so that
-intervals from a single flight are on the narrow side.
+Every interval is over *units*, which all cases share: replicates if there are at least eight; else, for
+scores over time, equal blocks of the flight. Cases stay paired, as they see the same traffic at one time.
+Intervals are expanded percentiles of a bootstrap [Hesterberg 2015], of Student's width for normal scores;
+with fewer than eight units Student's own. Successive blocks are correlated, so that intervals from a single
+flight are too narrow.
 
-Many rows of one table are told from chance together by the largest |t| among them [Westfall and Young 1993]:
+The significance of many rows of one table is tested together by the largest |t| [Westfall and Young 1993]:
 `Estimates.p_max_t`.
 
 References
@@ -33,13 +33,13 @@ from glintrack.core.arrays import Array
 from glintrack.metrics.requirement import CONFIDENCE, PARTS
 
 DRAWS = 4000
-FEW_UNITS = 8  # under which a bootstrap holds the truth less than nine times of ten
+FEW_UNITS = 8  # below which the coverage of a bootstrap is under 90 %
 _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
 class Units:
-    """A score by point of the design and by unit that the bootstrap draws.
+    """Score by point of the design and by unit of the bootstrap.
 
     Parameters
     ----------
@@ -51,10 +51,6 @@ class Units:
 
     points: pd.DataFrame
     values: Float[Array, "point unit"]
-
-    def by_levels(self) -> dict[tuple, Float[Array, "unit"]]:
-        """Each point's score by unit, by its levels."""
-        return dict(zip(map(tuple, self.points.astype(object).to_numpy()), self.values, strict=True))
 
 
 def units(table: pd.DataFrame, axes: Sequence[str], response: str, channel: str) -> Units:
@@ -74,8 +70,12 @@ def units(table: pd.DataFrame, axes: Sequence[str], response: str, channel: str)
         row, mine["replicate"], mine[response], mine["over_time"], strict=True
     ):
         series = json.loads(text).get(response)
-        parts = [mean] if series is None else _blocks(np.array(series, dtype=float))
-        blocks[place[index], order[replicate]] = np.array(parts, dtype=float)
+        parts = np.array([mean], dtype=float)
+        if series is not None:
+            series = np.array(series, dtype=float)
+            split = np.array_split(series, min(PARTS, len(series)))
+            parts = np.array([np.nanmean(p) if np.isfinite(p).any() else np.nan for p in split])
+        blocks[place[index], order[replicate]] = parts
     width = max((len(b) for b in blocks.values()), default=1)
     values = np.full((len(points), len(replicates), width), np.nan)
     for (k, r), parts in blocks.items():
@@ -87,11 +87,6 @@ def units(table: pd.DataFrame, axes: Sequence[str], response: str, channel: str)
     return Units(points.reset_index(drop=True), values.reshape(len(points), -1))
 
 
-def _blocks(series: Array) -> list[float]:
-    parts = np.array_split(series, min(PARTS, len(series)))
-    return [float(np.nanmean(p)) if np.isfinite(p).any() else np.nan for p in parts]
-
-
 @dataclass(frozen=True)
 class Estimates:
     """Linear combinations of points' means over units.
@@ -99,7 +94,7 @@ class Estimates:
     Parameters
     ----------
     value
-        Of all units.
+        Estimates over all units.
     low, high
         Interval of 95 %; NaN where units do not differ, as with a single one.
     p_max_t
@@ -111,14 +106,12 @@ class Estimates:
     high: Float[Array, "out"]
     p_max_t: Float[Array, "out"]
 
-    def table(self) -> pd.DataFrame:
+    def to_frame(self) -> pd.DataFrame:
         """Columns ``effect``, ``low``, ``high``, ``p_max_t``."""
-        return pd.DataFrame(
-            {"effect": self.value, "low": self.low, "high": self.high, "p_max_t": self.p_max_t}
-        )
+        return pd.DataFrame(vars(self)).rename(columns={"value": "effect"})
 
 
-def estimated(
+def estimate(
     fit: Float[Array, "out point"], values: Float[Array, "point unit"], rng: np.random.Generator
 ) -> Estimates:
     """Linear combinations of the points' means over units, with their intervals.
@@ -126,19 +119,19 @@ def estimated(
     Parameters
     ----------
     fit
-        Weights of the points in each.
+        Weights of the points in each combination.
     values
         Scores; NaN where there is none.
     rng
-        Of the bootstrap.
+        Random generator of the bootstrap.
     """
     if values.shape[1] >= FEW_UNITS:
         drawn, count = mean_draws(values, rng) @ fit.T, values.shape[1]
         of = interval(drawn[1:], count)
-        return Estimates(_whole(drawn[0], values), *of, _p_max_t(drawn[0], drawn[1:], count))
+        return Estimates(_round_to_zero(drawn[0], values), *of, _p_max_t(drawn[0], drawn[1:], count))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a point without any score stays NaN
-        middle = _whole(fit @ np.nanmean(values, axis=1), values)
+        middle = _round_to_zero(fit @ np.nanmean(values, axis=1), values)
     each = fit @ values[:, np.isfinite(values).all(axis=0)]
     count = each.shape[1]
     if count < 2:
@@ -153,14 +146,14 @@ def estimated(
     return Estimates(middle, middle - reach, middle + reach, p)
 
 
-def _whole(of: Float[Array, "out"], values: Float[Array, "point unit"]) -> Float[Array, "out"]:
-    """Estimates, 0 where nothing but rounding of the scores is left."""
+def _round_to_zero(of: Float[Array, "out"], values: Float[Array, "point unit"]) -> Float[Array, "out"]:
+    """Estimates, with 0 for rounding errors of the scores."""
     largest = np.nanmax(np.abs(values), initial=0.0)
     return np.where(np.abs(of) <= _ROUNDING * largest, 0.0, of)
 
 
 def mean_draws(values: Float[Array, "point unit"], rng: np.random.Generator) -> Float[Array, "draw point"]:
-    """Means over units: of all first, then of each draw of a bootstrap, if there are enough to draw from."""
+    """Means over all units, then over each draw of a bootstrap, if there are enough units."""
     count = values.shape[1]
     if count < FEW_UNITS:
         return np.nanmean(values, axis=1)[None]
@@ -178,25 +171,23 @@ def interval(draws: Float[Array, "draw *out"], count: int | None = None) -> tupl
     Parameters
     ----------
     draws
-        Of a bootstrap.
+        Draws of a bootstrap.
     count
-        Units that were drawn from: expands the interval to Student's width; the plain percentiles without.
+        Number of units, to expand the interval to Student's width; else plain percentiles.
     """
     tail = (1 - CONFIDENCE) / 2
     if count is not None:
         tail = stats.norm.sf(math.sqrt(count / (count - 1)) * stats.t.isf(tail, count - 1))
     with np.errstate(invalid="ignore"):
         low, high = np.nanquantile(draws, [tail, 1 - tail], axis=0)
-    # what is the same in every draw comes out of the fit with its rounding
     same = ~(high - low > _ROUNDING * np.maximum(np.abs(high), 1))
     return np.where(same, np.nan, low), np.where(same, np.nan, high)
 
 
 def _p_max_t(value: Float[Array, "out"], draws: Float[Array, "draw out"], count: int) -> Array:
-    """Share of draws whose largest deviate about the estimates reaches that of each estimate about zero.
+    """Share of draws with a largest deviate about the estimates beyond that of each estimate about zero.
 
-    Draws of few units are nearly normal with too small a spread, the estimate's own t is Student's: it is
-    brought to the normal deviate of the same tail.
+    The estimate's t is Student's: it is converted to the normal deviate of the same tail.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of an estimate without any draw

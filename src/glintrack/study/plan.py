@@ -1,7 +1,4 @@
-"""The cases of a study, each checked before the first one flies, and named by their content and source.
-
-A version number stays the same while its source is edited, so that names of cases count the source as well.
-"""
+"""Cases of a study, all validated before the first simulation, and named by hashes of content and source."""
 
 import json
 import math
@@ -26,7 +23,7 @@ from glintrack.metrics.requirement import LEAST_FRAMES, short
 from glintrack.sensor import SensorDesign
 from glintrack.study.comparisons import check_contrasts
 from glintrack.study.design import (
-    MOST_CASES,
+    MAX_CASES,
     Axis,
     Constraints,
     Level,
@@ -37,18 +34,21 @@ from glintrack.study.design import (
     unit_points,
 )
 
-FORMAT = 1  # of a study's folder: raise it whenever an older program could not read it
-FIELD_KEYS = ("sensor.pitch_um", "sensor.focal_length_mm")  # whose change `constant_field` makes up for
+FORMAT = 1  # of a study's folder, for older programs
+FIELD_KEYS = (
+    "sensor.pitch_um",
+    "sensor.focal_length_mm",
+)  # of the field of view
 DECIDE_SCORES = ("embreex", "eclipse-sumo", "sasktran2")
 _PACKAGE = Path(__file__).parents[1]
-# what shows results, or runs cases, and has no part in what a case scores; all else has, also what is new
+# parts that show results or run cases, and do not influence scores
 _SHOWS_ONLY = ("cli", "results/figures", "report", "study", "data/cases", "data/page")
-_FLIES = ("study/workers.py",)
+_SIMULATES = ("study/workers.py",)
 
 
 @dataclass(frozen=True)
 class Point:
-    """One row of a study's design: which values, which replicate, and the case that flies it."""
+    """Row of a study's design: levels of its axes, replicate, and case."""
 
     index: int
     replicate: int
@@ -58,20 +58,20 @@ class Point:
 
 @dataclass(frozen=True)
 class Plan:
-    """A whole study, ready to be run.
+    """All cases of a study.
 
     Parameters
     ----------
     design
-        As read.
+        Content of the study's file.
     axes
-        What is varied; none for an explicit list.
+        Axes of the study; none for an explicit list.
     points
-        Rows of the design in its own order; several may share a case.
+        Rows of the design in its order; several may share a case.
     cases
-        By the hash of their content.
+        Cases by the hash of their content.
     key
-        Hash of all of it: two plans of one key ask for the same.
+        Hash of the whole plan.
     """
 
     design: StudyDesign
@@ -81,26 +81,26 @@ class Plan:
     key: str
 
     def first(self, replicates: int) -> "Plan":
-        """The same plan with no cases but those of its first replicates."""
+        """Plan with the cases of its first replicates only."""
         keys = {point.case_key for point in self.points if point.replicate < replicates}
         return replace(self, cases={key: case for key, case in self.cases.items() if key in keys})
 
 
 def read_plan(path: str | Path, allow_outside_paths: bool = False) -> Plan:
-    """Read a study's file and lay out its cases; see `build_plan`. The base case is looked for beside it.
+    """Read a study's file and build its cases; see `build_plan`. The base case may be in the same folder.
 
     Parameters
     ----------
     path
         TOML file.
     allow_outside_paths
-        Whether the base case and the files that cases name may lie elsewhere than in the study's folder and
-        below: as of `Case.from_toml`.
+        Whether the base case and the files of cases may be outside the study's folder, as for
+        `Case.from_toml`.
     """
     path = Path(path)
     design = read_study(path)
-    beside = path.parent / design.case
-    base = beside if is_file(beside) else find_case(design.case)
+    local = path.parent / design.case
+    base = local if is_file(local) else find_case(design.case)
     inside = None if allow_outside_paths else (path.parent, PACKAGED_CASES)
     if inside is not None and not any(base.resolve().is_relative_to(one.resolve()) for one in inside):
         raise ValueError(
@@ -111,34 +111,39 @@ def read_plan(path: str | Path, allow_outside_paths: bool = False) -> Plan:
 
 
 def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = None) -> Plan:
-    """Every case of a study, validated.
+    """Build and validate every case of a study.
 
     Parameters
     ----------
     design
         Axes, design, replicates and constraints.
     base
-        The base case; file names in the study are meant from where it lies.
+        The base case; file names in the study are relative to its folder.
     inside
-        As of `Case.from_values`.
+        As for `Case.from_values`.
 
     Raises
     ------
     ValueError
-        In one sentence: which axis, value or combination is no valid case, and why.
+        In one sentence: the axis, value or combination that is not a valid case, and the reason.
     """
     axes = build_axes(design)
-    values = read_case(base)
-    values = _with_keys({**values, "name": design.name}, flat(design.base), "base")
-    _refuse_bound_keys(design, axes)
+    values = _with_keys({**read_case(base), "name": design.name}, flat(design.base), "base")
+    _check_constraints(design, axes)
     check_contrasts(design, axes)
     rules = _Rules(design.constraints, base.parent, inside)
     # the base itself has to be valid, and its pitch and focal length are those of its rows and columns
     rules = replace(rules, element_rad=_constrained(values, rules).sensor.ifov_rad)
-    _check_axes(values, axes, rules)
+    for axis in axes:  # each value by itself, so that a message names the axis
+        for label, keys in axis.ends:
+            try:
+                _constrained(_with_keys(values, keys, f"axes.{axis.name}"), rules, keys)
+            except ValueError as error:
+                if "known key" in str(error) or not _depends_on_others(error):
+                    raise ValueError(f"{error} (axis `{axis.name}`, value {label!r})") from error
     rows = _rows(design, axes)
-    if len(rows) * len(design.replicate_keys) > MOST_CASES:
-        raise ValueError(f"`axes` must make at most {MOST_CASES} cases, got {len(rows)} points")
+    if len(rows) * len(design.replicate_keys) > MAX_CASES:
+        raise ValueError(f"`axes` must make at most {MAX_CASES} cases, got {len(rows)} points")
     points, cases = [], {}
     for levels, keys in rows:
         for replicate, own in enumerate(design.replicate_keys):
@@ -152,7 +157,7 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
             cases.setdefault(key, case)
             points.append(Point(len(points), replicate, levels, key))
     content = {"points": [(p.replicate, dict(p.levels), p.case_key) for p in points], "design": design.design}
-    return Plan(design, axes, tuple(points), cases, _digest(content))
+    return Plan(design, axes, tuple(points), cases, content_hash(json.dumps(content, sort_keys=True), 20))
 
 
 def _rows(design: StudyDesign, axes: tuple[Axis, ...]) -> list[tuple[dict[str, Level], dict[str, Any]]]:
@@ -171,42 +176,31 @@ def _rows(design: StudyDesign, axes: tuple[Axis, ...]) -> list[tuple[dict[str, L
     return rows
 
 
-def _check_axes(values: dict, axes: tuple[Axis, ...], rules: "_Rules") -> None:
-    """Each value of each axis by itself: a wrong key or type is told with the axis's name."""
-    for axis in axes:
-        for label, keys in axis.ends:
-            try:
-                _constrained(_with_keys(values, keys, f"axes.{axis.name}"), rules, keys)
-            except ValueError as error:
-                if "known key" in str(error) or not _depends_on_others(error):
-                    raise ValueError(f"{error} (axis `{axis.name}`, value {label!r})") from error
-
-
 def _depends_on_others(error: ValueError) -> bool:
-    """Whether several keys disagree, which another axis's value may mend; checked again case by case."""
+    """Return True if several keys disagree, which another axis may correct; each case is checked again."""
     return not isinstance(error.__cause__, ValidationError) or any(
         fault["type"] == "value_error" for fault in error.__cause__.errors()
     )
 
 
-def _refuse_bound_keys(design: StudyDesign, axes: tuple[Axis, ...]) -> None:
+def _check_constraints(design: StudyDesign, axes: tuple[Axis, ...]) -> None:
     limits = design.constraints
-    bound = {
+    constrained = {
         "flight.altitude_m": limits.slant_range_m is not None,
         "flight.frames": limits.duration_s is not None,
         "flight.rate_hz": limits.rate_is_clock,
     }
     given = {key for axis in axes for _, keys in axis.ends for key in keys}
     given |= {key for table in (*design.cases, *design.replicate_keys) for key in flat(table)}
-    for key, is_bound in bound.items():
-        if is_bound and key in given:
+    for key, is_set in constrained.items():
+        if is_set and key in given:
             raise ValueError(
                 f"`{key}` must not be varied where a constraint sets it, got both (see constraints)"
             )
 
 
 def _with_keys(values: dict[str, Any], keys: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Nested values with some dotted keys replaced; the given ones stay as they are."""
+    """Nested values with some dotted keys replaced."""
     out = dict(values)
     for key, value in keys.items():
         if key.count(".") > DEEPEST:
@@ -224,7 +218,7 @@ def _with_keys(values: dict[str, Any], keys: Mapping[str, Any], source: str) -> 
 
 @dataclass(frozen=True)
 class _Rules:
-    """What every case of a study obeys."""
+    """Constraints and folders of all cases of a study."""
 
     limits: Constraints
     folder: Path
@@ -233,13 +227,13 @@ class _Rules:
 
 
 def _constrained(values: dict[str, Any], rules: _Rules, varied: Iterable[str] = ()) -> Case:
-    """The case of plain values after its constraints, given the keys that an axis or a replicate sets."""
+    """Case from plain values after the constraints; ``varied`` are the keys of axes and replicates."""
     keys: dict[str, Any] = {}
     limits = rules.limits
     try:
         flight = FlightDesign.model_validate(values.get("flight", {}))
         sensor = SensorDesign.model_validate(values.get("sensor", {}))
-    except ValidationError:  # told in full by the whole case
+    except ValidationError:  # reported in full by the whole case
         return Case.from_values(values, rules.folder, rules.inside)
     if limits.slant_range_m is not None:
         keys["flight.altitude_m"] = limits.slant_range_m * math.cos(math.radians(flight.off_nadir_deg))
@@ -248,58 +242,49 @@ def _constrained(values: dict[str, Any], rules: _Rules, varied: Iterable[str] = 
         keys["flight.rate_hz"] = rate_hz
     if limits.duration_s is not None:
         keys["flight.frames"] = max(round(limits.duration_s * rate_hz), 1)
-    counted = {"sensor.rows", "sensor.columns"} & set(varied)  # who sets the count gives up the field
+    counted = {"sensor.rows", "sensor.columns"} & set(varied)
     if limits.constant_field and rules.element_rad is not None and not counted:
-        keys |= _field_kept(sensor, rules.element_rad)
+        side, share = len(sensor.superpixel), rules.element_rad / sensor.ifov_rad
+        for name in ("rows", "columns"):  # that see the field of the base's elements, as whole superpixels
+            keys[f"sensor.{name}"] = side * max(round(getattr(sensor, name) * share / side), 1)
     return Case.from_values(_with_keys(values, keys, "constraints"), rules.folder, rules.inside)
 
 
-def _field_kept(sensor: SensorDesign, element_rad: float) -> dict[str, Any]:
-    """Rows and columns that see what the given ones see with the base's elements, as whole superpixels."""
-    side, share = len(sensor.superpixel), element_rad / sensor.ifov_rad
-    return {
-        f"sensor.{name}": side * max(round(getattr(sensor, name) * share / side), 1)
-        for name in ("rows", "columns")
-    }
-
-
 def field_notes(plan: Plan) -> list[str]:
-    """A sentence for each axis that makes the array see more or less of the window, before it is flown."""
+    """Sentence for each axis that changes the part of the window in the field."""
     if plan.design.constraints.constant_field:
         return []
+
+    def field_of(keys: Mapping[str, Any]) -> tuple:
+        own = {"sensor.rows", "sensor.columns"} & set(keys)
+        return () if own else tuple(keys.get(key) for key in FIELD_KEYS)
+
     return [
-        f"`{axis.name}` changes the field as well: who sees less of the window holds fewer of its vehicles "
-        "(`constraints.constant_field = true` lets rows and columns follow)"
+        f"`{axis.name}` changes the field too: a smaller part of the window has fewer of its vehicles "
+        "(`constraints.constant_field = true` adapts rows and columns)"
         for axis in plan.axes
-        if len({_field_of(axis, keys) for keys in axis.keys}) > 1 or (axis.span and axis.name in FIELD_KEYS)
+        if len({field_of(keys) for keys in axis.keys}) > 1 or (axis.span and axis.name in FIELD_KEYS)
     ]
 
 
-def _field_of(axis: Axis, keys: Mapping[str, Any]) -> tuple:
-    """What a value of an axis says of the field; nothing where it sets rows and columns itself."""
-    return () if {"sensor.rows", "sensor.columns"} & set(keys) else tuple(keys.get(key) for key in FIELD_KEYS)
-
-
 def length_notes(plan: Plan) -> list[str]:
-    """A sentence if flights are so short that they say nothing of a tracker, before they are flown."""
+    """Sentence if flights are too short for a tracker."""
     flights = (case.flight for case in plan.cases.values())
     brief = next((one for one in flights if short(one.frames, (one.frames - 1) / one.rate_hz)), None)
     if brief is None:
         return []
     length = f"{brief.frames} frame{'s' if brief.frames > 1 else ''} at {brief.rate_hz:g} Hz"
     return [
-        f"a flight of {length} says little of a tracker: the ground is learnt first, then tracks are begun "
+        f"a flight of {length} is too short for a tracker, which learns the background first "
         f"(`flight.frames`; {LEAST_FRAMES} frames and {MIN_SCORED_S:g} s at least)"
     ]
 
 
 def case_key(case: Case) -> str:
-    """Hash of all that decides a case's result, and of the program's version and source; not of its name.
-
-    A file counts by what is in it, not by where it lies, so that every host gives the same name.
-    """
+    """Hash of a case without its name, of the contents of its files, and of the program's source."""
     content = case.model_dump(mode="json", exclude={"name"})
-    return _digest({"case": without_paths(content), "glintrack": VERSION, "source": source_key()})
+    whole = {"case": without_paths(content), "glintrack": VERSION, "source": source_key()}
+    return content_hash(json.dumps(whole, sort_keys=True), 20)
 
 
 def without_paths(value: Any) -> Any:
@@ -313,16 +298,12 @@ def without_paths(value: Any) -> Any:
     return value
 
 
-def _digest(content: Any) -> str:
-    return content_hash(json.dumps(content, sort_keys=True), 20)
-
-
 @lru_cache(maxsize=1)
 def source_key() -> str:
-    """Hash of the source, data and packages that decide a case's scores: other code has other results."""
+    """Hash of the source, data and packages that influence a case's scores."""
     shown = {path for pattern in _SHOWS_ONLY for path in _PACKAGE.glob(pattern)}
     parts = [path for path in _PACKAGE.iterdir() if path not in shown]
-    parts += [_PACKAGE / name for name in _FLIES]
+    parts += [_PACKAGE / name for name in _SIMULATES]
     return digest(parts, DECIDE_SCORES, shown)[:20]
 
 
@@ -332,11 +313,11 @@ def digest(parts: Iterable[str | Path], packages: Iterable[str], without: Iterab
     Parameters
     ----------
     parts
-        Files and folders of this package; of a folder all that is in it. A file that is named counts.
+        Files and folders of this package.
     packages
-        Distributions; one that is not installed counts as such.
+        Distributions, whether installed or not.
     without
-        Files and folders in them that are left out.
+        Files and folders that are left out of folders.
     """
     left_out = set(without)
     found: list[str | bytes] = []

@@ -99,11 +99,11 @@ def run_study(
     """
     report, pending = RunReport(), []
     for key in plan.cases:
-        if folder.finished(key) is None:
+        if folder.outcome(key) is None:
             pending.append(key)
         else:
             report.found += 1
-        folder.forget_failure(key)
+        folder.remove_failure(key)
     run = _Run(
         plan=plan,
         folder=folder,
@@ -253,7 +253,7 @@ class _Run:
     def _failed(self, key: str, error: str, seconds: float = 0.0) -> None:
         self.attempts[key] += 1
         with self._room_for_results():
-            self.folder.note_failure(key, self.plan.cases[key], error, self.attempts[key])
+            self.folder.record_failure(key, self.plan.cases[key], error, self.attempts[key])
         if self.attempts[key] <= self.plan.design.retries:
             self.work.append(key)
             self.callback(StudyEvent("retried", key, seconds, error))
@@ -304,7 +304,7 @@ class StudyPace:
         self.whole = sum(self._work.values())
         self._seconds = self._flown = 0.0
         for key, case in plan.cases.items():
-            outcome = None if key in self._left else folder.finished(key)
+            outcome = None if key in self._left else folder.outcome(key)
             if outcome:
                 self._seconds += float(outcome["seconds"])
                 self._flown += rough_s(case)

@@ -1,7 +1,6 @@
-"""What a study found, in words: names of scores, the most important axis, and tables of text.
+"""Findings of a study as text: names of scores, the most important axis, and tables.
 
-The channel that holds most speaks for an axis, as in a run's verdict: what helps a weaker one may not help
-the design.
+The importance of an axis is that in the channel with the highest score, as in a run's verdict.
 """
 
 # pandas' overloads give an index of a frame more types than it can have
@@ -20,6 +19,7 @@ from glintrack.study.intervals import FEW_UNITS
 
 MAX_P = 0.05  # of `p_max_t`, for an effect that is significant
 _ROUNDING = 1e-9
+_DASH = "–"
 
 RESPONSES = (
     "held_per_km2",
@@ -40,196 +40,173 @@ SHORT = {
     "stage_known_background": "of all: background known",
     "stage_detector": "of all: detector",
 }
-RANKED_BY = ("held_per_km2", "completeness_visible", "custody")  # what designs are ranked by
-# told beside the headline: its price first
-BESIDE = ("false_per_km2", "completeness_visible", "stage_known_background", "stage_detector")
+RANKED_BY = ("held_per_km2", "completeness_visible", "custody")  # scores by which designs are ranked
+# scores shown with the headline
+_CONTEXT = ("false_per_km2", "completeness_visible", "stage_known_background", "stage_detector")
 _EXPLAINING = ("completeness_visible", "custody", "stage_known_background", "stage_predicted_background")
 NAMES = {
-    "held_per_km2": "vehicles held per km²",
+    "held_per_km2": "tracked vehicles per km²",
     "custody": "custody",
     "false_per_km2": "false tracks per km²",
     "completeness": "completeness, of all moving vehicles",
     "completeness_visible": "completeness, of visible moving vehicles",
     "purity": "track purity",
     "identity_switches": "identity switches of a flight",
-    "false_per_epoch": "false tracks a frame",
+    "false_per_epoch": "false tracks per frame",
     "data_rate_mbit_s": "data rate [Mbit/s]",
     **{
-        f"stage_{stage}": f"loss budget, of all moving vehicles: {words}"
-        for stage, words in STAGE_LABELS.items()
+        f"stage_{stage}": f"loss budget, of all moving vehicles: {label}"
+        for stage, label in STAGE_LABELS.items()
     },
 }
-CHANNELS = {
-    "pan": ("tab:gray", "o"),
-    "dolp": ("tab:blue", "s"),
-    "all": ("tab:green", "^"),
-}
+CHANNELS = {"pan": ("tab:gray", "o"), "dolp": ("tab:blue", "s"), "all": ("tab:green", "^")}
 CHANNEL_NAMES = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
 
 
 def headline(table: pd.DataFrame) -> str:
-    """The first of `RESPONSES` that a table of effects has."""
+    """First of `RESPONSES` in a table of effects."""
     return next(name for name in RESPONSES if name in set(table["response"]))
 
 
 def importance(tables: Mapping[str, pd.DataFrame], by: Sequence[str] = ("axis",)) -> pd.DataFrame:
-    """The largest effect of each axis on the headline, the largest axis first; those beyond chance lead.
+    """Largest effect of each axis on the headline, significant and large ones first.
 
     Parameters
     ----------
     tables
-        Of a report. By axis alone, the channel that holds most over its ``points`` speaks where it has
-        effects, else the one of the largest.
+        Tables of a report. By axis alone, effects are those of the channel with the highest mean of its
+        ``points``, if it has any, else of the channel with the largest effect.
     by
-        Of what the largest each is told: ``axis``, or ``axis`` and ``channel``.
+        Groups with one effect each: ``axis``, or ``axis`` and ``channel``.
 
     Returns
     -------
-    ``axis``, ``level``, ``channel``, ``effect``, ``low``, ``high``, ``significant`` (whether chance
-    alone gives any effect of that channel so large a |t| less often than 5 times of 100), and the effects
-    on `BESIDE` of the same level and channel; empty without effects.
+    ``axis``, ``level``, ``channel``, ``effect``, ``low``, ``high``, ``significant`` (whether chance alone
+    gives any effect of that channel so large a |t| with a probability below 0.05), and the effects of the
+    same level and channel on other scores; empty without effects.
     """
     found = tables.get("effects")
     if found is None or found.empty:
         return pd.DataFrame()
-    response = headline(found)
-    mine = found[(found["response"] == response) & found["effect"].notna()].copy()
+    mine = found[(found["response"] == headline(found)) & found["effect"].notna()].copy()
     mine.loc[mine["effect"].abs() < _ROUNDING, "effect"] = 0.0
     mine["significant"] = mine["p_max_t"] < MAX_P
     mine["size"] = mine["effect"].abs()
     mine = mine.sort_values(["significant", "size"], ascending=False, kind="stable")
-    if "channel" not in by:
-        speaks = mine["channel"] == _holds_most(tables)
-        mine = mine[speaks | ~mine["axis"].isin(mine.loc[speaks, "axis"])]
-    best = mine.groupby(list(by), sort=False).head(1).drop(columns=["size", "response"])
-    keys = ["channel", "axis", "level"]
-    for name in BESIDE:
+    if "channel" not in by and "points" in tables:
+        points = tables["points"]
+        points = points[(points["response"] == headline(points)) & points["score"].notna()]
+        means = points.groupby("channel")["score"].mean()
+        of_best = mine["channel"] == (means.idxmax() if len(means) else None)
+        mine = mine[of_best | ~mine["axis"].isin(mine.loc[of_best, "axis"])]
+    largest = mine.groupby(list(by), sort=False).head(1).drop(columns=["size", "response"])
+    for name in _CONTEXT:
+        keys = ["channel", "axis", "level"]
         other = found[found["response"] == name][[*keys, "effect"]].rename(columns={"effect": name})
-        best = best.merge(other, on=keys, how="left")
-    return best.reset_index(drop=True)
+        largest = largest.merge(other, on=keys, how="left")
+    return largest.reset_index(drop=True)
 
 
 def answer(tables: Mapping[str, pd.DataFrame]) -> str:
-    """Which parameter matters most, by how much, how surely and at what price; or what is held."""
+    """Most important parameter with its effect and interval; the best design without effects."""
     rows = importance(tables)
     if rows.empty:
         return _best_point(tables["points"]) if "points" in tables else ""
     name = NAMES[headline(tables["effects"])]
-    significant = rows[rows["significant"]]
-    said = [
-        f"`{row['axis']}`, {row['level']}: {row['effect']:+.3g} {name} {_interval(row)} in {_channel(row)}"
-        for row in significant.to_dict("records")
+    changes = [
+        f"`{row['axis']}`, {row['level']}: {row['effect']:+.3g} {name}" for row in rows.to_dict("records")
     ]
-    several = rows["axis"].nunique() > 1
-    contrasts_and_tests = [*_contrasts(tables), *_aa_test(tables)]
-    if not said:
-        row = rows.iloc[0]
-        effect = f"`{row['axis']}`, {row['level']}: {row['effect']:+.3g} {name}"
-        first = (
-            f"No axis changes it beyond chance; the largest effect is that of {effect}."
-            if several
-            else f"Not beyond chance: {effect}."
+    significant = rows[rows["significant"]].to_dict("records")
+    effects = [
+        f"{change} {_interval(row)} in {_channel(row)}"
+        for change, row in zip(changes, significant, strict=False)  # which come first
+    ]
+    several, parts = rows["axis"].nunique() > 1, []
+    if not effects:
+        first = "No significant effect; the largest is" if several else "Not significant:"
+        parts = [f"{first} {changes[0]}."]
+    elif not several:
+        parts = [f"{effects[0]}{_other_channels(tables, rows.iloc[0])}."]
+    else:
+        parts = [f"Most important: {effects[0]}."]
+        parts += [f"Then {'; '.join(effects[1:])}."] if len(effects) > 1 else []
+        others = [f"`{axis}`" for axis in rows[~rows["significant"]]["axis"]]
+        parts += [f"Not significant among all effects: {', '.join(others)}."] if others else []
+    if "contrasts" in tables:  # in the mean of all points
+        found = tables["contrasts"]
+        response = headline(found)
+        for row in found[(found["response"] == response) & (found["point"] == "all")].to_dict("records"):
+            if math.isfinite(row["low"]):
+                label = f"{row['contrast'][:1].upper()}{row['contrast'][1:]}"
+                parts.append(f"{label}: {row['effect']:+.3g} {NAMES[response]} {_interval(row)}.")
+    if "aa_test" in tables:
+        tests = tables["aa_test"]
+        parts.append(
+            f"{int(tests['excludes'].sum())} of {len(tests)} comparisons of a design with itself seem to "
+            "differ; one or two are expected of correct intervals."
         )
-        return " ".join([first, *contrasts_and_tests])
-    if not several:
-        said[0] += _other_channels(tables, rows.iloc[0])
-    parts = [f"{'Most matters ' if several else ''}{said[0]}."]
-    if len(said) > 1:
-        parts.append("Then " + "; ".join(said[1:]) + ".")
-    others = [f"`{axis}`" for axis in rows[~rows["significant"]]["axis"]]
-    if others:
-        parts.append(f"Not beyond chance, all taken together: {', '.join(others)}.")
-    return " ".join([*parts, *contrasts_and_tests])
-
-
-def _holds_most(tables: Mapping[str, pd.DataFrame]) -> str | None:
-    """The channel that holds most in the mean of all designs; None without points."""
-    if "points" not in tables:
-        return None
-    points = tables["points"]
-    mine = points[(points["response"] == headline(points)) & points["score"].notna()]
-    return None if mine.empty else str(mine.groupby("channel")["score"].mean().idxmax())
+    return " ".join(parts)
 
 
 def _other_channels(tables: Mapping[str, pd.DataFrame], change: pd.Series) -> str:
-    """What the same change does in the other channels."""
+    """Effects of the same change in the other channels."""
     found = tables["effects"]
-    mine = found[
-        (found["response"] == headline(found))
-        & (found["axis"] == change["axis"])
-        & (found["level"] == change["level"])
-        & (found["channel"] != change["channel"])
-        & found["effect"].notna()
-    ]
-    return "".join(
-        f", {row['effect']:+.3g} {_interval(row)} in {_channel(row)}" for row in mine.to_dict("records")
-    )
+    same = (found["axis"] == change["axis"]) & (found["level"] == change["level"])
+    same &= (found["response"] == headline(found)) & (found["channel"] != change["channel"])
+    rows = found[same & found["effect"].notna()].to_dict("records")
+    return "".join(f", {row['effect']:+.3g} {_interval(row)} in {_channel(row)}" for row in rows)
 
 
 def _interval(row: Mapping[str, Any]) -> str:
     significant = row["significant"] if "significant" in row else row["p_max_t"] < MAX_P
-    price = row.get("false_per_km2", math.nan)
-    cost = f"; {price:+.3g} {NAMES['false_per_km2']}" if math.isfinite(price) else ""
-    return f"({row['low']:+.3g} to {row['high']:+.3g}{', beyond chance' if significant else ''}{cost})"
+    false = row.get("false_per_km2", math.nan)
+    cost = f"; {false:+.3g} {NAMES['false_per_km2']}" if math.isfinite(false) else ""
+    return f"({row['low']:+.3g} to {row['high']:+.3g}{', significant' if significant else ''}{cost})"
 
 
 def _channel(row: Mapping[str, Any]) -> str:
     return CHANNEL_NAMES.get(row["channel"], row["channel"])
 
 
-def _contrasts(tables: Mapping[str, pd.DataFrame]) -> list[str]:
-    """Contrasts of the study, in the mean of its points."""
-    if "contrasts" not in tables:
-        return []
-    found = tables["contrasts"]
-    response = headline(found)
-    mine = found[(found["response"] == response) & (found["point"] == "all")]
-    return [
-        f"{row['contrast'][:1].upper()}{row['contrast'][1:]}: {row['effect']:+.3g} {NAMES[response]} "
-        f"{_interval(row)}."
-        for row in mine.to_dict("records")
-        if math.isfinite(row["low"])
-    ]
-
-
-def _aa_test(tables: Mapping[str, pd.DataFrame]) -> list[str]:
-    """How often a design seems to differ from itself."""
-    if "aa_test" not in tables:
-        return []
-    found = tables["aa_test"]
-    differ = int(found["excludes"].sum())
-    return [
-        f"Of {len(found)} comparisons of a design with itself {differ} seem to differ; with correct "
-        "intervals it is one or two."
-    ]
-
-
 def _best_point(points: pd.DataFrame) -> str:
-    """The best point of a study that varies nothing, or whose design determines no effects."""
+    """Best point of a study without effects."""
     response = headline(points)
     mine = points[(points["response"] == response) & points["score"].notna()]
     if mine.empty:
         return ""
     best = mine.loc[mine["score"].idxmax()]
-    sure = f" ({best['low']:.3g} to {best['high']:.3g})" if math.isfinite(best["low"]) else ""
+    interval = f" ({best['low']:.3g} to {best['high']:.3g})" if math.isfinite(best["low"]) else ""
     point = "" if best["point"] == "base" else f" of {best['point']}"
-    return f"Most{point}: {best['score']:.3g} {NAMES[response]}{sure} in {_channel(best.to_dict())}."
+    return f"Highest{point}: {best['score']:.3g} {NAMES[response]}{interval} in {_channel(best.to_dict())}."
+
+
+def narrow_intervals(table: pd.DataFrame, source: Mapping[str, Any]) -> str:
+    """Warning that intervals of a few flights are too narrow; else empty."""
+    count = int(table.loc[table["status"] == "finished", "replicate"].nunique())
+    if count >= FEW_UNITS:
+        return ""
+    of = "one flight of each design" if count == 1 else f"{count} flights of each design"
+    alike = "" if source["design"].get("replicates") or count == 1 else ", over one city and traffic"
+    return (
+        f"Intervals are from {of}{alike}, each divided into six blocks of time. Successive blocks are "
+        f"correlated: these intervals are too narrow. Simulate {FEW_UNITS} `replicates` for a decision."
+    )
 
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text, for the screen and the page alike.
+    """Table of text, for the terminal and the page.
 
     Parameters
     ----------
     title
-        What it says.
+        Title of the table.
     heads
-        Of its columns.
+        Headings of its columns.
     rows
-        Their cells.
+        Cells.
     words
-        Columns, from the first, that hold words and not numbers.
+        Number of the first columns that contain words and not numbers.
     """
 
     title: str
@@ -238,74 +215,91 @@ class TextTable:
     words: int = 1
 
 
-def narrow_intervals(table: pd.DataFrame, source: Mapping[str, Any]) -> str:
-    """Where the intervals of a few flights come from, and that they are too narrow; else nothing."""
-    count = int(table.loc[table["status"] == "finished", "replicate"].nunique())
-    if count >= FEW_UNITS:
-        return ""
-    of = "one flight of each design" if count == 1 else f"{count} flights of each design"
-    alike = "" if source["design"].get("replicates") or count == 1 else ", over one city and traffic"
-    return (
-        f"Intervals: of {of}{alike}, each flight's time in six blocks. Blocks follow each other and are "
-        f"alike, so that these are too narrow; for a decision fly {FEW_UNITS} `replicates`."
+def importance_table(tables: Mapping[str, pd.DataFrame], by: Sequence[str] = ("axis",)) -> TextTable | None:
+    """Largest effect of each axis, with its effects on other scores; None without effects."""
+    found = importance(tables, by)
+    if found.empty:
+        return None
+    others = [name for name in _CONTEXT if found[name].notna().any()]
+    rows = tuple(
+        (
+            *(str(row[name]) for name in ("axis", "level", "channel")),
+            f"{row['effect']:+.3g}",
+            f"{row['low']:+.3g} … {row['high']:+.3g}{' *' * row['significant']}"
+            if math.isfinite(row["low"])
+            else _DASH,
+            *(f"{row[name]:+.3g}" if math.isfinite(row[name]) else _DASH for name in others),
+        )
+        for row in found.to_dict("records")
     )
+    title = f"largest change of {NAMES[headline(tables['effects'])]} by {' and '.join(by)} (* significant)"
+    heads = ("axis", "change", "in", "effect", "95 % interval", *(SHORT[name] for name in others))
+    return TextTable(title, heads, rows, words=3)
+
+
+def points_table(points: pd.DataFrame) -> TextTable:
+    """Headline and other scores of each design and channel."""
+    names = [n for n in (headline(points), *_CONTEXT) if n in set(points["response"])]
+    scores = points.pivot_table(index=["point", "channel"], columns="response", values="score", sort=False)
+    rows = tuple(
+        (*map(str, index), *(f"{row[n]:.3g}" if math.isfinite(row[n]) else _DASH for n in names))
+        for index, row in zip(scores.index, scores.reindex(columns=names).to_dict("records"), strict=True)
+    )
+    return TextTable("each design", ("design", "in", *(SHORT.get(n, NAMES[n]) for n in names)), rows, words=2)
+
+
+def comparison_tables(tables: Mapping[str, pd.DataFrame]) -> list[TextTable]:
+    """Tables of contrasts, agreement of ranks, and predictions of surrogates, if there are any."""
+    out = contrast_tables(tables["contrasts"]) if "contrasts" in tables else []
+    if "ranks" in tables:
+        rows = tuple(
+            (
+                f"{row['under']}: {row['first']} and {row['second']}",
+                NAMES[row["response"]],
+                row["channel"],
+                str(row["designs"]),
+                f"{row['tau']:.2f}{_ends(row, '{:.2f}')}",
+            )
+            for row in tables["ranks"].to_dict("records")
+        )
+        heads = ("under", "ranked by", "in", "designs", "Kendall's τ")
+        out.append(TextTable("agreement of ranks (1: the same order, 0: random)", heads, rows, words=3))
+    if "surrogate_check" in tables:
+        rows = tuple(
+            (
+                NAMES[row["response"]],
+                row["channel"],
+                str(row["flights"]),
+                *(f"{row[name]:.3g}" for name in ("spread", "error")),
+                f"{row['coverage']:.2f} ({row['coverage_low']:.2f} … {row['coverage_high']:.2f})",
+            )
+            for row in tables["surrogate_check"].to_dict("records")
+        )
+        heads = ("score", "in", "flights", "spread", "error", "in their 90 % interval")
+        out.append(TextTable("cross-validation of the response surface", heads, rows, words=2))
+    return out
 
 
 def contrast_tables(found: pd.DataFrame) -> list[TextTable]:
-    """Each contrast point by point, in the headline and the scores that explain it; * is beyond chance."""
-    first = headline(found)
-    there = set(found["response"])
-    shown = [name for name in (first, *_EXPLAINING) if name in there]
+    """Table of each contrast by point, in the headline and the scores that explain it."""
+    present = set(found["response"])
+    names = [name for name in (headline(found), *_EXPLAINING) if name in present]
     out = []
     for contrast, mine in found.groupby("contrast", sort=False):
         by = {(row["point"], row["response"]): row for row in mine.to_dict("records")}
         points = list(dict.fromkeys(mine["point"]))
-        rows = tuple((point, *(_cell(by.get((point, name))) for name in shown)) for point in points)
-        heads = ("where", *(SHORT.get(name, NAMES[name]) for name in shown))
-        out.append(TextTable(f"{contrast} (95 % interval; * beyond chance among its rows)", heads, rows))
+        rows = tuple((point, *(_cell(by.get((point, name))) for name in names)) for point in points)
+        heads = ("where", *(SHORT.get(name, NAMES[name]) for name in names))
+        out.append(TextTable(f"{contrast} (95 % interval; * significant among its rows)", heads, rows))
     return out
-
-
-def ranks_table(found: pd.DataFrame) -> TextTable:
-    """Kendall's τ between the ranks of the same designs under two values of an axis."""
-    heads = ("under", "ranked by", "in", "designs", "Kendall's τ")
-    rows = tuple(
-        (
-            f"{row['under']}: {row['first']} and {row['second']}",
-            NAMES[row["response"]],
-            row["channel"],
-            str(row["designs"]),
-            f"{row['tau']:.2f}{_ends(row, '{:.2f}')}",
-        )
-        for row in found.to_dict("records")
-    )
-    return TextTable("do the designs keep their ranks? (1: all, 0: by chance)", heads, rows, words=3)
-
-
-def surrogate_table(found: pd.DataFrame) -> TextTable:
-    """How well each surrogate predicts flights that had no part in it."""
-    heads = ("score", "in", "flights", "spread", "error", "in their 90 % interval")
-    rows = tuple(
-        (
-            NAMES[row["response"]],
-            row["channel"],
-            str(row["flights"]),
-            f"{row['spread']:.3g}",
-            f"{row['error']:.3g}",
-            f"{row['held']:.2f} ({row['held_low']:.2f} … {row['held_high']:.2f})",
-        )
-        for row in found.to_dict("records")
-    )
-    return TextTable("what a response surface predicts of flights left out of it", heads, rows, words=2)
 
 
 def _cell(row: dict | None) -> str:
     if row is None or not math.isfinite(row["effect"]):
-        return "–"
+        return _DASH
     style = "{:+.1f}" if "per_" in row["response"] else "{:+.3f}"  # counts, or shares
     effect = row["effect"] if abs(row["effect"]) > _ROUNDING else 0.0
-    sure = " *" if row["p_max_t"] < MAX_P else ""
-    return f"{style.format(effect)}{_ends(row, style)}{sure}"
+    return f"{style.format(effect)}{_ends(row, style)}{' *' if row['p_max_t'] < MAX_P else ''}"
 
 
 def _ends(row: dict, style: str) -> str:

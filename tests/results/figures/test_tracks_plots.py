@@ -6,7 +6,14 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from glintrack.results.figures import MARKS
-from glintrack.results.figures.tracks import kinds_of, missed, show_legend, show_missed, show_rgb, show_tracks
+from glintrack.results.figures.tracks import (
+    missed_rows,
+    show_legend,
+    show_missed,
+    show_rgb,
+    show_tracks,
+    track_kinds,
+)
 
 
 def table(**columns):
@@ -24,13 +31,13 @@ TRUTH = table(
 
 
 def test_each_track_is_of_one_kind():
-    assert kinds_of(ROWS).tolist() == ["true", "coast", "false", "other"]
+    assert track_kinds(ROWS).tolist() == ["true", "coast", "false", "other"]
     bare = ROWS[["time_s", "track_id"]].assign(coasted=ROWS["coasted"])
-    assert kinds_of(bare).tolist() == ["true", "coast", "true", "true"]  # nobody judged them
+    assert track_kinds(bare).tolist() == ["true", "coast", "true", "true"]  # nobody judged them
 
 
 def test_missed_are_those_of_the_time_without_a_true_track():
-    assert missed(TRUTH, ROWS, 1.0).tolist() == [False, True, True, False]
+    assert missed_rows(TRUTH, ROWS, 1.0).tolist() == [False, True, True, False]
 
 
 def test_marks_have_the_pages_colours_and_are_named():

@@ -1,19 +1,18 @@
-"""Figures of frames, tracks, sky, sensors and devices: colour maps and marks that all of them share.
+"""Figures of frames, tracks, sky, sensors and devices, with their common colour maps, marks and style.
 
 There is one colour map per quantity and one mark per kind of track, in every picture, film and report page.
 """
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Any
 
-RADIANCE, DOLP, AOP = (
-    "gray",
-    "viridis",
-    "twilight",
-)  # kept apart by any eye; AoP is cyclic
+from matplotlib.axes import Axes
+
+RADIANCE, DOLP, AOP = "gray", "viridis", "twilight"  # safe for colour-blind eyes; AoP is cyclic
 # on the ground AoP is from the meridian, and 90°, level, the palest, as in every picture
 OF_CHANNEL: Mapping[str, str] = MappingProxyType({"pan": RADIANCE, "dolp": DOLP, "aop": f"{AOP}_shifted"})
-HIGHEST_DOLP = 0.5  # drawn brightest
+MAX_DOLP = 0.5  # drawn brightest
 # Of Okabe and Ito, safe for colour-blind eyes; the shape says the same. As on the page: film.js and page.css.
 MARKS: Mapping[str, str] = MappingProxyType(
     {
@@ -26,6 +25,11 @@ MARKS: Mapping[str, str] = MappingProxyType(
     }
 )
 NO_DATA = "#606874"  # of a picture of the ground
-LOOP_COLOURS: Mapping[str, str] = MappingProxyType(
-    {"pan": "#648fff", "dolp": "#dc267f", "all": "#785ef0"}
-)  # by channel
+# by channel
+LOOP_COLOURS: Mapping[str, str] = MappingProxyType({"pan": "#648fff", "dolp": "#dc267f", "all": "#785ef0"})
+
+
+def label_axes(axes: Axes, xlabel: str, ylabel: str, title: str = "", **settings: Any) -> None:
+    """Set labels and title of a diagram, and its grid."""
+    axes.set(xlabel=xlabel, ylabel=ylabel, title=title, **settings)
+    axes.grid(alpha=0.3, which="both")

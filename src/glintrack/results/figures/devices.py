@@ -1,6 +1,6 @@
-"""Pictures of wire-grid polarizers (the paper's Figures 5 to 10), etalon, micromirror and superpixel (4c).
+"""Figures of wire-grid polarizers (the paper's Figures 5 to 10), etalon, micromirror and superpixel (4c).
 
-Every function draws on a matplotlib Axes or Figure it is given, from a table of `devices`.
+Every function draws a table of `devices` on a matplotlib Axes or Figure.
 """
 
 import numpy as np
@@ -13,56 +13,45 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from glintrack.core.arrays import Array
+from glintrack.results.figures import label_axes
 
 _TILT_COLOUR, _LIGHT, _METAL = "#dc267f", "#ffb000", "#8a8f99"
+_WAVELENGTH = "wavelength [µm]"
 _COLOURS = "viridis"
 
 
 def wire_grid_overview(figure: Figure, table: xr.Dataset) -> None:
     """Figures 6 to 9 of the paper for one grid, on an empty figure."""
-    axes = figure.subplots(2, 2)
-    transmission(axes[0, 0], table)
-    extinction(axes[0, 1], table)
-    diattenuation(axes[1, 0], table)
-    falloff(axes[1, 1], table)
+    draw = (transmission, extinction, diattenuation, falloff)
+    for axes, panel in zip(figure.subplots(2, 2).flat, draw, strict=True):
+        panel(axes, table)
 
 
 def transmission(axes: Axes, table: xr.Dataset) -> None:
-    """Like the paper's Figure 6: T(λ, ψ) against wavelength, one line an angle of polarization."""
+    """Draw T(λ, ψ) against wavelength, one line for each angle, like the paper's Figure 6."""
     degrees = np.degrees(table["polarization_angle"].values)
     colours = ScalarMappable(Normalize(degrees[0], degrees[-1]), _COLOURS)
-    for column, angle in enumerate(degrees):
-        axes.plot(
-            table["wavelength"],
-            table["transmittance"][:, column],
-            color=colours.to_rgba(angle),
-            label=f"{angle:.0f}°",
-        )
-    axes.set(ylabel="transmittance T(λ, ψ)", ylim=(0, 0.8), title="transmission (paper's Figure 6)")
+    for angle, line in zip(degrees, table["transmittance"].values.T, strict=True):
+        axes.plot(table["wavelength"], line, color=colours.to_rgba(angle), label=f"{angle:.0f}°")
+    label_axes(axes, _WAVELENGTH, "transmittance T(λ, ψ)", "transmission (paper's Figure 6)", ylim=(0, 0.8))
     axes.legend(title="ψ", fontsize="x-small", loc="center left", bbox_to_anchor=(1, 0.5))
-    _against_wavelength(axes)
 
 
 def extinction(axes: Axes, table: xr.Dataset, label: str | None = None) -> None:
-    """Like the paper's Figure 7: extinction ratio against wavelength, Eq. (8)."""
+    """Draw the extinction ratio against wavelength, Eq. (8), like the paper's Figure 7."""
     axes.semilogy(table["wavelength"], table["extinction_ratio"], label=label)
-    axes.set(ylabel="extinction ratio T(0°)/T(90°)", title="extinction ratio (paper's Figure 7)")
-    _against_wavelength(axes)
+    label_axes(axes, _WAVELENGTH, "extinction ratio T(0°)/T(90°)", "extinction ratio (paper's Figure 7)")
 
 
 def diattenuation(axes: Axes, table: xr.Dataset, label: str | None = None) -> None:
-    """Like the paper's Figure 8: diattenuation against wavelength, Eq. (9)."""
+    """Draw the diattenuation against wavelength, Eq. (9), like the paper's Figure 8."""
     axes.plot(table["wavelength"], table["diattenuation"], label=label)
-    axes.set(
-        ylabel="diattenuation",
-        title="diattenuation (paper's Figure 8)",
-        ylim=(min(-0.1, axes.get_ylim()[0]), 1.02),
-    )
-    _against_wavelength(axes)
+    ylim = (min(-0.1, axes.get_ylim()[0]), 1.02)
+    label_axes(axes, _WAVELENGTH, "diattenuation", "diattenuation (paper's Figure 8)", ylim=ylim)
 
 
 def falloff(axes: Axes, table: xr.Dataset) -> None:
-    """Like the paper's Figure 9: T(λ, ψ)/T(λ, 0°) against ψ for every wavelength, beside the ideal cos²ψ."""
+    """Draw T(λ, ψ)/T(λ, 0°) against ψ for every wavelength, and cos²ψ, like the paper's Figure 9."""
     degrees = np.degrees(table["polarization_angle"].values)
     um = table["wavelength"].values
     colours = ScalarMappable(Normalize(um[0], um[-1]), _COLOURS)
@@ -71,20 +60,14 @@ def falloff(axes: Axes, table: xr.Dataset) -> None:
         axes.plot(degrees, line, color=colours.to_rgba(wavelength), linewidth=0.6)
     fine = np.linspace(0, 90, 91)
     axes.plot(fine, np.cos(np.radians(fine)) ** 2, "k--", linewidth=2, label="ideal cos²ψ")
-    axes.set(
-        xlabel="ψ [°]",
-        ylabel="T(λ, ψ)/T(λ, 0°)",
-        title="cosine-squared falloff (paper's Figure 9)",
-        xlim=(0, 90),
-    )
-    axes.set_ylim(0, None)
-    axes.grid(alpha=0.3)
+    title = "cosine-squared falloff (paper's Figure 9)"
+    label_axes(axes, "ψ [°]", "T(λ, ψ)/T(λ, 0°)", title, xlim=(0, 90), ylim=(0, None))
     axes.legend(fontsize="small")
-    axes.figure.colorbar(colours, ax=axes, label="wavelength [µm]")
+    axes.figure.colorbar(colours, ax=axes, label=_WAVELENGTH)
 
 
 def cross_section(figure: Figure, maps: xr.Dataset, title: str) -> None:
-    """Like the paper's Figure 5: energy density for E across the wires, snapshot of E along them.
+    """Draw the energy density for E across the wires and a snapshot of E along them, like Figure 5.
 
     Parameters
     ----------
@@ -93,26 +76,27 @@ def cross_section(figure: Figure, maps: xr.Dataset, title: str) -> None:
     maps
         From `devices.wire_grid.field_maps`.
     title
-        Heads the figure.
+        Title of the figure.
     """
     axes = figure.subplots(1, 2, sharey=True)
-    drawn = _map(axes[0], maps, maps["energy_across"].values, "inferno", (0, 2))
-    axes[0].set_title("energy density, E across the wires (ψ = 0°)")
-    figure.colorbar(drawn, ax=axes[0], shrink=0.8)
-    drawn = _map(axes[1], maps, maps["electric_along"].values, "RdBu_r", (-1.5, 1.5))
-    axes[1].set_title("E along the wires (ψ = 90°), a snapshot")
-    figure.colorbar(drawn, ax=axes[1], shrink=0.8)
+    panels = (
+        ("energy density, E across the wires (ψ = 0°)", "energy_across", "inferno", (0, 2)),
+        ("E along the wires (ψ = 90°), a snapshot", "electric_along", "RdBu_r", (-1.5, 1.5)),
+    )
+    for ax, (name, key, colours, limits) in zip(axes, panels, strict=True):
+        figure.colorbar(_map(ax, maps, maps[key].values, colours, limits), ax=ax, shrink=0.8)
+        ax.set_title(name)
     axes[1].set_ylabel("")
     figure.suptitle(f"{title}, λ = {maps.attrs['wavelength_um']:g} µm; incident amplitude 1")
 
 
 def field_at_angle(figure: Figure, maps: xr.Dataset, title: str, angle_deg: float = 60.0) -> None:
-    """Like Figure 10: a wave at ``angle_deg`` from the pass axis, both components, snapshots."""
-    axes = figure.subplots(1, 2, sharey=True)
+    """Draw snapshots of both components of a wave at ``angle_deg`` from the pass axis, like Figure 10."""
+    axes, drawn = figure.subplots(1, 2, sharey=True), None
     psi = np.radians(angle_deg)
-    for one, name, amplitude in ((axes[0], "across", np.cos(psi)), (axes[1], "along", np.sin(psi))):
-        drawn = _map(one, maps, amplitude * maps[f"electric_{name}"].values, "RdBu_r", (-1.2, 1.2))
-        one.set_title(f"component {name} the wires")
+    for ax, name, amplitude in ((axes[0], "across", np.cos(psi)), (axes[1], "along", np.sin(psi))):
+        drawn = _map(ax, maps, amplitude * maps[f"electric_{name}"].values, "RdBu_r", (-1.2, 1.2))
+        ax.set_title(f"component {name} the wires")
     axes[1].set_ylabel("")
     figure.colorbar(drawn, ax=axes, shrink=0.8, label="E over the incident amplitude")
     figure.suptitle(f"{title}, λ = {maps.attrs['wavelength_um']:g} µm, polarized at {angle_deg:g}°")
@@ -124,16 +108,9 @@ def _map(axes: Axes, maps: xr.Dataset, values: np.ndarray, colours: str, limits:
     step = (x[1] - x[0]) / 2
     extent = (x[0] - step, x[-1] + step, z[0] - step, z[-1] + step)
     axes.set_facecolor("0.5")
-    image = axes.imshow(
-        values, cmap=colours, vmin=limits[0], vmax=limits[1], extent=extent, origin="lower", aspect="equal"
-    )
     axes.set(xlabel="x across the wires [µm]", ylabel="z along the light [µm]")
-    return image
-
-
-def _against_wavelength(axes: Axes) -> None:
-    axes.set_xlabel("wavelength [µm]")
-    axes.grid(alpha=0.3, which="both")
+    style = {"cmap": colours, "vmin": limits[0], "vmax": limits[1], "aspect": "equal"}
+    return axes.imshow(values, extent=extent, origin="lower", **style)
 
 
 def etalon_overview(figure: Figure, table: xr.Dataset) -> None:
@@ -142,70 +119,71 @@ def etalon_overview(figure: Figure, table: xr.Dataset) -> None:
     response_map(axes[0, 0], table)
     response_curves(axes[0, 1], table)
     axes[1, 0].plot(table["gap"] * 1e3, table["voltage"], color=_TILT_COLOUR)
-    axes[1, 0].set(xlabel="gap [nm]", ylabel="voltage [V]", title="drive")
-    peaks(axes[1, 1], table)
-    for axis in axes.flat[1:]:
-        axis.grid(alpha=0.3)
+    label_axes(axes[1, 0], "gap [nm]", "voltage [V]", "drive")
+    peak, width = axes[1, 1], axes[1, 1].twinx()
+    peak.plot(table["peak_wavelength"], table["peak_transmittance"], color=_TILT_COLOUR)
+    label_axes(peak, _WAVELENGTH, "peak transmittance", "order 1", ylim=(0, 1))
+    width.plot(table["peak_wavelength"], table["fwhm"] * 1e3, "--", color="0.3")
+    width.set(ylabel="full width at half maximum [nm], dashed", ylim=(0, None))
 
 
 def response_map(axes: Axes, table: xr.Dataset) -> None:
-    """Transmittance over wavelength and gap: orders are the bright bands."""
-    shown = axes.pcolormesh(
-        *(table["wavelength"], table["gap"] * 1e3, table["transmittance"]),
-        cmap="magma",
-        vmin=0,
-        shading="nearest",
-    )
-    axes.set(xlabel="wavelength [µm]", ylabel="gap [nm]", title="transmittance over a sweep")
+    """Draw transmittance over wavelength and gap: orders are the bright bands."""
+    values = table["wavelength"], table["gap"] * 1e3, table["transmittance"]
+    shown = axes.pcolormesh(*values, cmap="magma", vmin=0, shading="nearest")
+    axes.set(xlabel=_WAVELENGTH, ylabel="gap [nm]", title="transmittance over a sweep")
     axes.figure.colorbar(shown, ax=axes, label="transmittance")
 
 
 def response_curves(axes: Axes, table: xr.Dataset, count: int = 6) -> None:
-    """Transmittance against wavelength at a few gaps."""
+    """Draw transmittance against wavelength at a few gaps."""
     for i in np.linspace(0, table.sizes["gap"] - 1, count).astype(int):
         one = table.isel(gap=i)
         axes.plot(table["wavelength"], one["transmittance"], label=f"{float(one['gap']) * 1e3:.0f} nm")
-    axes.set(xlabel="wavelength [µm]", ylabel="transmittance", title="at single gaps", ylim=(0, None))
+    label_axes(axes, _WAVELENGTH, "transmittance", "at single gaps", ylim=(0, None))
     axes.legend(title="gap", fontsize="x-small", ncols=2)
-
-
-def peaks(axes: Axes, table: xr.Dataset) -> None:
-    """Peak transmittance and width of order 1 against wavelength."""
-    axes.plot(table["peak_wavelength"], table["peak_transmittance"], color=_TILT_COLOUR, label="peak")
-    axes.set(xlabel="wavelength [µm]", ylabel="peak transmittance", title="order 1", ylim=(0, 1))
-    beside = axes.twinx()
-    beside.plot(table["peak_wavelength"], table["fwhm"] * 1e3, "--", color="0.3", label="width")
-    beside.set(ylabel="full width at half maximum [nm], dashed", ylim=(0, None))
 
 
 def micromirror_overview(figure: Figure, table: xr.Dataset) -> None:
     """Travel against voltage, step, shape, bow, heat and scatter of one mirror, on an empty figure."""
     axes = figure.subplots(2, 3)
-    travel(axes[0, 0], table)
-    step(axes[0, 1], table)
-    scattered(axes[0, 2], table)
+    _draw_travel(axes[0, 0], table)
+    _draw_step(axes[0, 1], table)
+    wavelength, beyond = table["wavelength"], "beyond the relay's stop"
+    axes[0, 2].semilogy(wavelength, table["scattered"], color="0.2", label="all")
+    axes[0, 2].semilogy(wavelength, table["scattered_beyond_stop"], color=_TILT_COLOUR, label=beyond)
+    label_axes(axes[0, 2], _WAVELENGTH, "share of the reflected light", "scatter")
+    axes[0, 2].legend(fontsize="small")
     if "deflection" not in table:
         for axis in axes[1]:
             axis.set_axis_off()
         axes[1, 1].text(0.5, 0.5, "plate not bent: needs the extra em", ha="center")
         return
-    plate_map(axes[1, 0], table, table["deflection"] * 1e9, "deflection to the electrodes [nm]")
-    plate_map(axes[1, 1], table, bow(table) * 1e12, "bow: deflection less its plane [pm]", "coolwarm")
-    plate_map(axes[1, 2], table, table["temperature_rise"] * 1e3, "temperature rise [mK]", "inferno")
+    piston, tip, tilt = (table.attrs[name] for name in ("piston_m", "tip_rad", "tilt_rad"))
+    bow = (table["deflection"] - piston - tip * table["x"] - tilt * table["y"]).transpose("y", "x")
+    panels = (
+        ("deflection to the electrodes [nm]", table["deflection"] * 1e9, "viridis"),
+        ("bow: deflection less its plane [pm]", bow * 1e12, "coolwarm"),
+        ("temperature rise [mK]", table["temperature_rise"] * 1e3, "inferno"),
+    )
+    for ax, (name, values, colours) in zip(axes[1], panels, strict=True):
+        plate = table["x"] * 1e6, table["y"] * 1e6, values
+        shown = ax.pcolormesh(*plate, cmap=colours, shading="gouraud")
+        ax.set(xlabel="x [µm]", ylabel="y [µm]", title=name, aspect="equal")
+        figure.colorbar(shown, ax=ax, shrink=0.8)
 
 
-def travel(axes: Axes, table: xr.Dataset) -> None:
+def _draw_travel(axes: Axes, table: xr.Dataset) -> None:
     """Piston under the same voltage on all electrodes up to pull-in."""
     axes.plot(table["even_voltage"], table["even_piston"] * 1e9, color=_TILT_COLOUR)
     axes.axvline(float(table["even_voltage"][-1]), color="0.4", linestyle=":", label="pull-in")
     sudden = table.attrs["dynamic_pull_in_v"]
     axes.axvline(sudden, color=_LIGHT, linestyle="--", label="pull-in by a sudden step")
-    axes.set(xlabel="voltage on all electrodes [V]", ylabel="piston [nm]", title="travel")
+    label_axes(axes, "voltage on all electrodes [V]", "piston [nm]", "travel")
     axes.legend(fontsize="small")
-    axes.grid(alpha=0.3)
 
 
-def step(axes: Axes, table: xr.Dataset) -> None:
+def _draw_step(axes: Axes, table: xr.Dataset) -> None:
     """Piston and slopes after the voltages are switched on."""
     axes.plot(table["time"] * 1e6, table["piston"] * 1e9, color="0.2", label="piston [nm]")
     for name, colour in (("tip", "#35b0ff"), ("tilt", _TILT_COLOUR)):
@@ -213,35 +191,8 @@ def step(axes: Axes, table: xr.Dataset) -> None:
     settled = table.attrs["settling_time_s"]
     if np.isfinite(settled):
         axes.axvline(settled * 1e6, color="0.4", linestyle=":", label=f"settled, {settled * 1e6:.1f} µs")
-    axes.set(xlabel="time [µs]", title="step")
+    label_axes(axes, "time [µs]", "", "step")
     axes.legend(fontsize="small")
-    axes.grid(alpha=0.3)
-
-
-def scattered(axes: Axes, table: xr.Dataset) -> None:
-    """Scattered share against wavelength, in all and beyond the relay's stop."""
-    axes.semilogy(table["wavelength"], table["scattered"], color="0.2", label="all")
-    beyond = table["scattered_beyond_stop"]
-    axes.semilogy(table["wavelength"], beyond, color=_TILT_COLOUR, label="beyond the relay's stop")
-    axes.set(xlabel="wavelength [µm]", ylabel="share of the reflected light", title="scatter")
-    axes.legend(fontsize="small")
-    axes.grid(alpha=0.3, which="both")
-
-
-def plate_map(
-    axes: Axes, table: xr.Dataset, values: xr.DataArray, label: str, colours: str = "viridis"
-) -> None:
-    """One quantity over the plate."""
-    shown = axes.pcolormesh(table["x"] * 1e6, table["y"] * 1e6, values, cmap=colours, shading="gouraud")
-    axes.set(xlabel="x [µm]", ylabel="y [µm]", title=label, aspect="equal")
-    axes.figure.colorbar(shown, ax=axes, shrink=0.8)
-
-
-def bow(table: xr.Dataset) -> xr.DataArray:
-    """Deflection less its best plane. [m]"""
-    level, along_x, along_y = (table.attrs[name] for name in ("piston_m", "tip_rad", "tilt_rad"))
-    plane = level + along_x * table["x"] + along_y * table["y"]
-    return (table["deflection"] - plane).transpose("y", "x")
 
 
 def superpixel_rays(
@@ -252,30 +203,38 @@ def superpixel_rays(
     f_number: float = 5.6,
     rays: int = 7,
 ) -> None:
-    """A cross-section of mirror and polarizer with the cone of the lens: what goes where, angles to scale.
+    """Draw a cross-section of mirror and polarizer with the cone of the lens, angles to scale.
 
     Parameters
     ----------
+    axes
+        Axes to draw on.
     tilt_rad
-        Of the mirror; light leaves it at twice the tilt. [rad]
+        Tilt of the mirror; light leaves it at twice the tilt. [rad]
     pass_transmittance
-        Of the polarizer, for its own polarization; opacity of the rays below it. [1]
+        Transmittance of the polarizer for its own polarization: opacity of the rays below it. [1]
+    pitch_um, f_number, rays
+        Pitch of the elements, F-number of the lens, and number of rays. [µm, 1, 1]
     """
     half = np.arcsin(0.5 / f_number)
-    angles = np.linspace(-half, half, rays)
     height, below, centres = 60.0, 25.0, (-pitch_um / 2, pitch_um / 2)
-    for angle in angles:
+    colours = {
+        f"from the lens, F/{f_number:g}": "#c98a00",
+        f"mirrored, {2 * np.degrees(tilt_rad):.1f}° aside": _TILT_COLOUR,
+        f"through the wires, T = {pass_transmittance:.2f}": "#0077bb",
+    }
+    lens, mirror, wire = colours.values()
+    opacity = float(np.clip(pass_transmittance, 0.05, 1))
+    for angle in np.linspace(-half, half, rays):
         down = np.array([np.sin(angle), -np.cos(angle)])
         for k, x in enumerate(centres):
             focus = np.array([x, 0.0])
+            away = reflect(down, tilt_rad)
+            stop = focus + down * below / np.cos(angle) if k else focus + away * height / max(away[1], 0.2)
             start = focus - down * height / np.cos(angle)
-            _ray(axes, start, focus, "#c98a00")
-            if k == 0:
-                away = mirrored(down, tilt_rad)
-                _ray(axes, focus, focus + away * height / max(away[1], 0.2), _TILT_COLOUR)
-            else:
-                stop = focus + down * below / np.cos(angle)
-                _ray(axes, focus, stop, "#0077bb", float(np.clip(pass_transmittance, 0.05, 1)))
+            axes.plot(*np.transpose([start, focus]), color=lens, linewidth=0.9)
+            style = {"color": wire, "alpha": opacity} if k else {"color": mirror}
+            axes.plot(*np.transpose([focus, stop]), **style, linewidth=0.9)
     side = 0.45 * pitch_um
     edge = side * np.array([np.cos(tilt_rad), np.sin(tilt_rad)])
     plate = [centres[0] - edge[0], centres[0] + edge[0]], [-edge[1], edge[1]]
@@ -283,18 +242,13 @@ def superpixel_rays(
     wires, under = centres[1] + np.linspace(-side, side, 20), [centres[1] - side, centres[1] + side]
     axes.plot(wires, np.zeros(20), "s", color=_METAL, markersize=3, label="wires")
     axes.plot(under, [-below, -below], color="0.2", linewidth=5, label="detector")
-    axes.plot([], [], color="#c98a00", label=f"from the lens, F/{f_number:g}")
-    axes.plot([], [], color=_TILT_COLOUR, label=f"mirrored, {2 * np.degrees(tilt_rad):.1f}° aside")
-    axes.plot([], [], color="#0077bb", label=f"through the wires, T = {pass_transmittance:.2f}")
+    for name, colour in colours.items():
+        axes.plot([], [], color=colour, label=name)
     axes.set(xlabel="x [µm]", ylabel="height [µm]", aspect="equal", xlim=(-45, 45), ylim=(-30, height))
     axes.legend(fontsize="x-small", loc="upper right")
 
 
-def mirrored(direction: Float[Array, "2"], tilt_rad: float) -> Float[Array, "2"]:
-    """Direction after a mirror whose normal leans from the vertical by a tilt."""
+def reflect(direction: Float[Array, "2"], tilt_rad: float) -> Float[Array, "2"]:
+    """Direction after a mirror with its normal at a tilt from the vertical."""
     normal = np.array([-np.sin(tilt_rad), np.cos(tilt_rad)])
     return direction - 2 * (direction @ normal) * normal
-
-
-def _ray(axes: Axes, start: Array, stop: Array, colour: str, opacity: float = 1.0) -> None:
-    axes.plot([start[0], stop[0]], [start[1], stop[1]], color=colour, alpha=opacity, linewidth=0.9)

@@ -1,4 +1,4 @@
-"""One rendered frame as a picture with its scale, north, the sun's direction and a scale bar."""
+"""Figure of a rendered frame with colour scale, north, direction of the sun and scale bar."""
 
 import math
 from dataclasses import dataclass
@@ -15,23 +15,23 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from glintrack.camera import Camera, Pose, ground_points, project
 from glintrack.core.arrays import Array
 from glintrack.io.images import DOTS_PER_INCH
-from glintrack.results.figures import AOP, DOLP, HIGHEST_DOLP, NO_DATA, RADIANCE
+from glintrack.results.figures import AOP, DOLP, MAX_DOLP, NO_DATA, RADIANCE
 
-_FAR_M = 20.0  # over which a direction is measured in the picture
+_STEP_M = 20.0  # over which a direction is measured in the picture
 
 
 @dataclass(frozen=True)
 class Bearings:
-    """How a picture lies: directions as (right, up), of any length, and its scale.
+    """Directions of a picture as (right, up), of any length, and its scale.
 
     Parameters
     ----------
     north, sun
-        Toward north, and toward where the sun stands; None for a sun that is not known.
+        Toward north and toward the sun; None for a sun that is not known.
     units_per_m
-        Of the axes, for a length across the picture. [1/m]
+        Units of the axes per metre, for a length across the picture. [1/m]
     where
-        At which place the scale holds, where it is not the same all over.
+        Place of the scale, where it is not the same everywhere.
     """
 
     north: tuple[float, float]
@@ -41,18 +41,18 @@ class Bearings:
 
 
 def azimuth_of(direction: Array) -> float:
-    """Clockwise from north, of a direction in ENU. [rad]"""
+    """Azimuth of a direction in ENU, clockwise from north. [rad]"""
     return math.atan2(float(direction[0]), float(direction[1]))
 
 
 def on_map(sun_azimuth_rad: float | None) -> Bearings:
-    """Of a map in ENU metres, north up."""
+    """Bearings of a map in ENU metres, north up."""
     sun = None if sun_azimuth_rad is None else (math.sin(sun_azimuth_rad), math.cos(sun_azimuth_rad))
     return Bearings((0.0, 1.0), sun)
 
 
 def in_view(camera: Camera, pose: Pose, sun_azimuth_rad: float) -> Bearings | None:
-    """Of the aircraft's view, at the middle of the frame on level ground; None if that is the sky."""
+    """Bearings of the aircraft's view at the middle of the frame on level ground; None for the sky."""
     middle = ground_points(camera, pose, np.array([camera.rows - 1, camera.columns - 1]) / 2)
     if not np.isfinite(middle).all():
         return None
@@ -62,21 +62,17 @@ def in_view(camera: Camera, pose: Pose, sun_azimuth_rad: float) -> Bearings | No
     across = np.cross(line, [0.0, 0.0, 1.0])
     length = float(np.linalg.norm(across))
     across = across / length if length > 1e-9 * float(np.linalg.norm(line)) else np.array([1.0, 0.0, 0.0])
-    steps = _FAR_M * np.stack([north, sun, across])
+    steps = _STEP_M * np.stack([north, sun, across])
     moved = project(camera, pose, middle + steps) - project(camera, pose, middle - steps)
     right_up = np.stack([moved[:, 1], -moved[:, 0]], axis=1)
-    scale = float(np.linalg.norm(right_up[2])) / (2 * _FAR_M)
-    return Bearings(_pair(right_up[0]), _pair(right_up[1]), scale, "across the middle")
+    scale = float(np.linalg.norm(right_up[2])) / (2 * _STEP_M)
+    (north_right, north_up), (sun_right, sun_up) = right_up[:2].tolist()
+    return Bearings((north_right, north_up), (sun_right, sun_up), scale, "across the middle")
 
 
-def _pair(values: Array) -> tuple[float, float]:
-    return float(values[0]), float(values[1])
-
-
-MASKED = np.array(to_rgb(NO_DATA))  # no data, or no polarization to speak of
+MASKED = np.array(to_rgb(NO_DATA))  # no data, or hardly any polarization
 FADE_DOLP = 0.05  # angles of light less polarized than this fade to grey
 _INCHES_WIDE = 10.0
-_STEPS = (1, 2, 5)
 _BAR_SHARE = 0.2  # of the picture's width that the bar takes at most
 _ARROW_PT = 22.0
 _SUN_COLOUR = "#ffd94a"
@@ -84,21 +80,21 @@ _OUTLINE: list[AbstractPathEffect] = [withStroke(linewidth=3.0, foreground=(0, 0
 
 
 def radiance_colours(values: Float[Array, "y x"]) -> tuple[Float[Array, "y x 3"], ScalarMappable]:
-    """Black to white over the middle 98 % of a radiance. [1]"""
+    """Colours and scale of a radiance, black to white over its middle 98 %. [1]"""
     known = values[np.isfinite(values)]
     low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
     return _mapped(values, RADIANCE, float(low), max(float(high), float(low) + 1e-12))
 
 
 def dolp_colours(values: Float[Array, "y x"]) -> tuple[Float[Array, "y x 3"], ScalarMappable]:
-    """Degree of linear polarization in a scale that the colour-blind and a grey printer keep in order. [1]"""
-    return _mapped(values, DOLP, 0.0, HIGHEST_DOLP)
+    """Colours and scale of a degree of linear polarization, safe for colour-blind eyes. [1]"""
+    return _mapped(values, DOLP, 0.0, MAX_DOLP)
 
 
 def aop_colours(
     aop_rad: Float[Array, "y x"], dolp: Float[Array, "y x"], light_at_rad: float
 ) -> tuple[Float[Array, "y x 3"], ScalarMappable]:
-    """Angle of polarization on a cyclic scale, 0° and 180° alike; faded to grey where DoLP is small. [1]
+    """Colours and cyclic scale of an angle of polarization, faded to grey where DoLP is small. [1]
 
     ``light_at_rad``, 0 or π/2, is the angle that is drawn palest: that of horizontal polarization.
     """
@@ -115,25 +111,24 @@ def frame_figure(
     title: str = "",
     bearings: Bearings | None = None,
 ) -> Figure:
-    """The picture with title and colour bar, north, sun and scale bar.
+    """Figure of a picture with title and colour bar, north, sun and scale bar.
 
     Parameters
     ----------
     colours
         sRGB; NaN is drawn as no data. [1]
     scale, label
-        Of the colour bar; none where there is no scale.
+        Scale and label of the colour bar; none without a scale.
     extent_m
         West, south, east, north, if the picture is a map. [m]
     title
-        Above the picture.
+        Title above the picture.
     bearings
-        How it lies.
+        Directions of north and sun, and scale.
     """
     rows, columns = colours.shape[:2]
-    figure = Figure(
-        figsize=(_INCHES_WIDE, max(_INCHES_WIDE * 0.87 * rows / columns, 2.0)), layout="constrained"
-    )
+    size = _INCHES_WIDE, max(_INCHES_WIDE * 0.87 * rows / columns, 2.0)
+    figure = Figure(figsize=size, layout="constrained")
     axes = figure.add_subplot()
     axes.set_title(title)
     colours = np.where(np.isfinite(colours), np.clip(colours, 0, 1), MASKED)
@@ -152,7 +147,7 @@ def frame_figure(
 
 
 def picture_figure(picture: Float[Array, "y x 3"], bearings: Bearings | None) -> Figure:
-    """A picture without margins, its pixels those of the file, with how it lies drawn on it."""
+    """Figure of a picture without margins, pixel for pixel, with its bearings."""
     rows, columns = picture.shape[:2]
     figure = Figure(figsize=(columns / DOTS_PER_INCH, rows / DOTS_PER_INCH))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
@@ -169,14 +164,14 @@ def _mapped(values: Array, name: str, low: float, high: float) -> tuple[Array, S
     return np.where(np.isfinite(values)[..., None], colours, MASKED), scale
 
 
-def round_length(most: float) -> float:
-    """The longest of 1, 2, 5, 10, 20 … that is no longer."""
-    power = 10.0 ** math.floor(math.log10(most))
-    return max(step * power for step in _STEPS if step * power <= most * (1 + 1e-9))
+def round_length(limit: float) -> float:
+    """Largest of 1, 2, 5, 10, 20 … up to a limit."""
+    power = 10.0 ** math.floor(math.log10(limit))
+    return max(step * power for step in (1, 2, 5) if step * power <= limit * (1 + 1e-9))
 
 
 def draw_bearings(ax: Axes, bearings: Bearings) -> None:
-    """North and sun at the upper left, the scale bar at the lower left, over what is drawn."""
+    """Draw north and sun at the upper left, and the scale bar at the lower left."""
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     wide, high = right - left, top - bottom
     length_m = round_length(_BAR_SHARE * abs(wide) / bearings.units_per_m)
@@ -193,7 +188,7 @@ def draw_bearings(ax: Axes, bearings: Bearings) -> None:
 
 
 def _arrow(ax: Axes, across: float, direction: tuple[float, float], name: str, colour: str) -> None:
-    """An arrow about a point of the axes, with its name below."""
+    """Draw an arrow about a point of the axes, with its name below."""
     length = math.hypot(*direction)
     if length == 0:
         return
@@ -212,7 +207,7 @@ def _arrow(ax: Axes, across: float, direction: tuple[float, float], name: str, c
 
 
 def _label(ax: Axes, text: str, place: tuple[float, float], offset: tuple[float, float], **style) -> None:
-    """White outlined text, offset from a place. [pt]"""
+    """Draw white outlined text, offset from a place. [pt]"""
     label = ax.annotate(
         text, place, offset, textcoords="offset points", color="white", fontsize=8, fontweight="bold",
         annotation_clip=False, **style,

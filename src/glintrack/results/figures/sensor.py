@@ -1,4 +1,4 @@
-"""Pictures of a sensor: its lens, its modulation transfer, its response, and one of its frames."""
+"""Figures of a sensor: lens, modulation transfer function, spectral response, and a frame."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from glintrack.core.arrays import Array
-from glintrack.results.figures import AOP, DOLP, HIGHEST_DOLP, RADIANCE
+from glintrack.results.figures import AOP, DOLP, MAX_DOLP, RADIANCE, label_axes
 from glintrack.sensor.lens import LensDesign, build_optic, ray_paths
 from glintrack.stokes import aop
 
@@ -19,7 +19,7 @@ _OUTLINE = 40
 
 
 def draw_transfer(axes: Axes, curves: xr.Dataset) -> None:
-    """Draw modulation transfer over spatial frequency on the detector, with Nyquist's frequency marked."""
+    """Draw the modulation transfer function over the spatial frequency on the detector."""
     for name in curves.data_vars:
         axes.plot(curves["frequency"], curves[name], _HATCH.get(str(name), "-"), label=str(name))
     nyquist = curves.attrs["nyquist_per_mm"]
@@ -36,7 +36,7 @@ def draw_transfer(axes: Axes, curves: xr.Dataset) -> None:
 
 
 def draw_response(axes: Axes, curves: xr.Dataset) -> None:
-    """Draw what each kind of element makes of a photon at the lens, over wavelength."""
+    """Draw electrons per photon at the lens of each kind of element, over wavelength."""
     looks = {
         "bare": ("open element or mirror in pan", "-", "0.75"),
         "pass": ("polarizer, light across the wires", "-", "#b81a63"),
@@ -47,36 +47,31 @@ def draw_response(axes: Axes, curves: xr.Dataset) -> None:
         if name in curves:
             width = 4 if name == "bare" else 1.5  # often the same as another
             axes.plot(curves["wavelength"], curves[name], style, color=colour, label=label, lw=width)
-    said = f", polarizers {curves.attrs['polarizer']}" if "pass" in curves else ""
-    axes.set(
-        xlabel="wavelength [µm]",
-        ylabel="electrons a photon at the lens",
-        title=f"elements{said}",
-        ylim=(0, None),
-    )
-    axes.grid(alpha=0.3)
+    title = "elements" + (f", polarizers {curves.attrs['polarizer']}" if "pass" in curves else "")
+    label_axes(axes, "wavelength [µm]", "electrons per photon at the lens", title, ylim=(0, None))
     axes.legend(frameon=False, fontsize="small")
 
 
 def draw_frame(frame: xr.Dataset, degree: Float[Array, "y x"]) -> Figure:
-    """Figure of a frame: pan, degree and angle of polarization, as the detector sees them."""
+    """Figure of a frame on the detector: pan, degree and angle of polarization."""
     pan = frame["pan"].values
-    figure, axes = plt.subplots(1, 3, figsize=(15, 4.2), layout="constrained")
-    white = float(np.nanpercentile(pan, _BRIGHT))
-    shown = axes[0].imshow(pan, cmap=RADIANCE, vmin=0, vmax=white)
-    figure.colorbar(shown, ax=axes[0], label="pan radiance [W m⁻² sr⁻¹ µm⁻¹]", shrink=0.8)
-    shown = axes[1].imshow(degree, cmap=DOLP, vmin=0, vmax=HIGHEST_DOLP)
-    figure.colorbar(shown, ax=axes[1], label="degree of linear polarization", shrink=0.8)
     angle = np.where(np.isfinite(degree), np.degrees(aop(frame["stokes_radiance"].values)), np.nan)
-    shown = axes[2].imshow(angle, cmap=AOP, vmin=0, vmax=180)
-    figure.colorbar(shown, ax=axes[2], label="AoP from the image's right [°]", shrink=0.8)
-    for ax in axes:
+    white = float(np.nanpercentile(pan, _BRIGHT))
+    panels = (
+        ("pan radiance [W m⁻² sr⁻¹ µm⁻¹]", pan, RADIANCE, white),
+        ("degree of linear polarization", degree, DOLP, MAX_DOLP),
+        ("AoP from the image's right [°]", angle, AOP, 180),
+    )
+    figure, axes = plt.subplots(1, 3, figsize=(15, 4.2), layout="constrained")
+    for ax, (label, values, colours, high) in zip(axes, panels, strict=True):
+        shown = ax.imshow(values, cmap=colours, vmin=0, vmax=high)
+        figure.colorbar(shown, ax=ax, label=label, shrink=0.8)
         ax.set_axis_off()
     return figure
 
 
 def draw_spots(lens: LensDesign, element_um: float = 17.0) -> Figure:
-    """Spots of every field about their centroid, all wavelengths, with an element's outline."""
+    """Figure of the spots of every field about their centroid, with an element's outline."""
     optic = build_optic(lens)
     count = len(lens.fields_mm)
     figure, axes = plt.subplots(1, count, figsize=(2.4 * count, 2.9), layout="constrained", squeeze=False)
@@ -99,20 +94,20 @@ def draw_spots(lens: LensDesign, element_um: float = 17.0) -> Figure:
 
 
 def draw_layout(lens: LensDesign) -> Figure:
-    """Surfaces and rays in three dimensions, like the paper's Figure 11: light comes from the left."""
+    """Figure of surfaces and rays in three dimensions, light from the left, like the paper's Figure 11."""
     optic = build_optic(lens)
     figure = plt.figure(figsize=(9, 6), layout="constrained")
     axes = figure.add_subplot(projection="3d")
     colours = plt.get_cmap("turbo")(np.linspace(0.1, 0.9, len(lens.wavelengths_um)))
-    met = []
+    hits = []
     for i in range(len(lens.fields_mm)):
         for colour, wavelength in zip(colours, lens.wavelengths_um, strict=True):
             paths = ray_paths(optic, lens, i, wavelength, 2)
-            met.append(paths)
+            hits.append(paths)
             for ray in range(paths.shape[1]):
                 x, y, z = paths[:, ray].T
                 axes.plot(z, x, y, color=colour, lw=0.4, alpha=0.5)
-    points = np.concatenate(met, axis=1)
+    points = np.concatenate(hits, axis=1)
     for k, surface in enumerate(lens.surfaces, start=1):
         _draw_surface(axes, points[k], surface.radius_mm)
     axes.set(xlabel="z [mm]", ylabel="x [mm]", zlabel="y [mm]", title=lens.name)
@@ -123,7 +118,7 @@ def draw_layout(lens: LensDesign) -> Figure:
 
 
 def _draw_surface(axes, points: Array, radius_mm: float | None) -> None:
-    """The used part of a surface: a spherical patch through the points where rays met it."""
+    """Draw the used part of a surface: a spherical patch through the rays' points."""
     found = points[np.isfinite(points).all(axis=1)]
     middle = found.mean(axis=0)
     half = 1.1 * np.abs(found[:, :2] - middle[:2]).max(axis=0) + 1.0

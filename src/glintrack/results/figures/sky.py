@@ -1,21 +1,19 @@
-"""Pictures of an atmosphere: fisheye maps of the sky and spectra of sun, sky and path.
+"""Figures of an atmosphere: fisheye maps of the sky and spectra of sun, sky and path.
 
-Every function draws on a matplotlib Axes it is given. A fisheye is the sky as one sees it lying on one's
-back: north up, **east left**, zenith in the middle, radius proportional to the zenith angle.
+Every function draws on a matplotlib Axes. A fisheye is the sky looking up: north up, **east left**, zenith in
+the middle, radius proportional to the zenith angle.
 """
 
 from typing import Literal, cast
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.projections.polar import PolarAxes
 
 from glintrack import stokes
-from glintrack.core.arrays import Array
-from glintrack.results.figures import AOP, DOLP, RADIANCE
+from glintrack.results.figures import AOP, DOLP, RADIANCE, label_axes
 
 Quantity = Literal["I", "DoLP", "AoP"]
 LABELS = {
@@ -44,17 +42,21 @@ def fisheye(axes: Axes, tables: xr.Dataset, wavelength_um: float, quantity: Quan
     light = np.einsum(
         "k,k...->...", tables["sky_spectrum"].values[:, band], tables["sky_map"].values.astype(float)
     )
-    azimuth, zenith = _closed(tables["azimuth"].values), np.degrees(tables["zenith"].values)
-    values, style = _picture(np.concatenate([light, light[:, :1]], axis=1), quantity)
+    light = np.concatenate([light, light[:, :1]], axis=1)
+    azimuth, zenith = tables["azimuth"].values, np.degrees(tables["zenith"].values)
+    azimuth = np.r_[azimuth, azimuth[0] + 2 * np.pi]
+    if quantity == "I":
+        values, style = np.log10(light[..., 0]), {"cmap": RADIANCE}
+    elif quantity == "DoLP":
+        values, style = stokes.dolp(light), {"cmap": DOLP, "vmin": 0.0}
+    elif quantity == "AoP":
+        values = np.degrees(stokes.aop(light))
+        style = {"cmap": f"{AOP}_shifted", "vmin": 0, "vmax": 180}
+    else:
+        raise ValueError(f"`quantity` must be I, DoLP or AoP, got {quantity!r}")
     mesh = axes.pcolormesh(azimuth, zenith, values, shading="gouraud", rasterized=True, **style)
-    axes.plot(
-        tables.attrs["sun_azimuth_rad"],
-        np.degrees(tables.attrs["sun_zenith_rad"]),
-        marker="o",
-        markersize=7,
-        markerfacecolor="none",
-        markeredgecolor="red",
-    )
+    sun = tables.attrs["sun_azimuth_rad"], np.degrees(tables.attrs["sun_zenith_rad"])
+    axes.plot(*sun, marker="o", markersize=7, markerfacecolor="none", markeredgecolor="red")
     polar = cast(PolarAxes, axes)
     polar.set_theta_zero_location("N")
     polar.set_theta_direction(1)  # looking up the compass runs counter-clockwise
@@ -87,22 +89,6 @@ def spectra(axes: Axes, tables: xr.Dataset, altitude_m: float = 3000.0) -> None:
     axes.semilogy(um, tables["sky_irradiance"], label="sky on level ground [W m⁻² µm⁻¹]")
     height = tables["altitude"].values[nearest]
     axes.semilogy(um, path, label=f"path to {height:.0f} m, straight down [W m⁻² sr⁻¹ µm⁻¹]")
-    axes.set(xlabel="wavelength [µm]", title="Sun, sky and path")
-    axes.set_ylim(max(float(path.max()) * 1e-3, 1e-6), None)
+    ylim = (max(float(path.max()) * 1e-3, 1e-6), None)
+    label_axes(axes, "wavelength [µm]", "", "Sun, sky and path", ylim=ylim)
     axes.legend(fontsize="small")
-    axes.grid(alpha=0.3)
-
-
-def _closed(azimuth: Float[Array, "azimuth"]) -> Float[Array, "closed"]:
-    return np.r_[azimuth, azimuth[0] + 2 * np.pi]
-
-
-def _picture(light: Float[Array, "zenith azimuth 3"], quantity: str) -> tuple[Array, dict]:
-    """Values to draw and how to colour them."""
-    if quantity == "I":
-        return np.log10(light[..., 0]), {"cmap": RADIANCE}
-    if quantity == "DoLP":
-        return stokes.dolp(light), {"cmap": DOLP, "vmin": 0.0}
-    if quantity == "AoP":
-        return np.degrees(stokes.aop(light)), {"cmap": f"{AOP}_shifted", "vmin": 0, "vmax": 180}
-    raise ValueError(f"`quantity` must be I, DoLP or AoP, got {quantity!r}")

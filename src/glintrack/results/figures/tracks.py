@@ -1,4 +1,4 @@
-"""Pictures of what the sensor saw and the tracker made of it; every function draws into an Axes."""
+"""Figures of rectified frames with tracks; every function draws on a matplotlib Axes."""
 
 import numpy as np
 import xarray as xr
@@ -9,28 +9,28 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from glintrack.core.arrays import Array
 from glintrack.core.records import Extent
-from glintrack.results.figures import DOLP, HIGHEST_DOLP, LOOP_COLOURS, MARKS, NO_DATA, RADIANCE
+from glintrack.results.figures import DOLP, LOOP_COLOURS, MARKS, MAX_DOLP, NO_DATA, RADIANCE, label_axes
 
 QUERY_COLOUR = "#dc267f"
 # kind -> shape, area [pt²], label
 _SHAPES = {
     "true": ("o", 26, "true track"),
-    "coast": ("D", 24, "true, coasting unseen"),
+    "coast": ("D", 24, "true track, coasting"),
     "false": ("^", 30, "false track"),
-    "other": ("o", 12, "of a vehicle that stands"),
+    "other": ("o", 12, "track of a standing vehicle"),
     "missed": ("x", 16, "moving vehicle missed"),
 }
 _OUTLINE: list[AbstractPathEffect] = [withStroke(linewidth=2.4, foreground=(0, 0, 0, 0.65))]
 
 
 def show_rgb(ax: Axes, picture: Float[Array, "y x 3"], extent_m: tuple | None = None) -> None:
-    """An sRGB picture, on the ground grid if its extent (west, south, east, north) is given; NaN is grey."""
+    """Draw an sRGB picture, on the ground grid with its extent (west, south, east, north); NaN is grey."""
     ax.set_facecolor(NO_DATA)
     known = np.isfinite(picture).all(axis=-1, keepdims=True)
     shown = np.concatenate([np.clip(np.nan_to_num(picture), 0, 1), known], axis=-1)
     if extent_m is None:
         ax.imshow(shown, interpolation="nearest")
-        _without_ticks(ax)
+        ax.set(xticks=[], yticks=[])
         return
     west, south, east, north = extent_m
     ax.imshow(shown, extent=(west, east, south, north), interpolation="nearest")
@@ -38,7 +38,7 @@ def show_rgb(ax: Axes, picture: Float[Array, "y x 3"], extent_m: tuple | None = 
 
 
 def show_pan(ax: Axes, image: xr.Dataset) -> None:
-    """Panchromatic radiance of a rectified frame, black to white over its middle 98 %."""
+    """Draw panchromatic radiance of a rectified frame, black to white over its middle 98 %."""
     values = image["pan"].values
     low, high = np.nanpercentile(values, [1, 99]) if np.isfinite(values).any() else (0, 1)
     label = "pan radiance [W m$^{-2}$ sr$^{-1}$ µm$^{-1}$]"
@@ -46,25 +46,21 @@ def show_pan(ax: Axes, image: xr.Dataset) -> None:
     _ground_axes(ax, image)
 
 
-def show_dolp(ax: Axes, image: xr.Dataset, highest: float = HIGHEST_DOLP) -> None:
-    """Degree of linear polarization of a rectified frame; masked pixels are blue-grey."""
-    _show_dolp(ax, image["dolp"].values, vmax=highest, extent=_extent(image))
+def show_dolp(ax: Axes, image: xr.Dataset, highest: float = MAX_DOLP) -> None:
+    """Draw the degree of linear polarization of a rectified frame; masked pixels are blue-grey."""
+    style = {"cmap": DOLP, "vmin": 0, "vmax": highest}
+    _show(ax, image["dolp"].values, "degree of linear polarization", extent=_extent(image), **style)
     _ground_axes(ax, image)
 
 
 def show_dolp_view(ax: Axes, values: Float[Array, "y x"]) -> None:
-    """Degree of linear polarization as the aircraft sees it, in the scale of `show_dolp`. [1]"""
-    _show_dolp(ax, values)
-    _without_ticks(ax)
-
-
-def _show_dolp(ax: Axes, values: Float[Array, "y x"], **style) -> None:
-    style = {"cmap": DOLP, "vmin": 0, "vmax": HIGHEST_DOLP, **style}
-    _show(ax, values, "degree of linear polarization", **style)
+    """Draw the degree of linear polarization in the aircraft's view, in the scale of `show_dolp`. [1]"""
+    _show(ax, values, "degree of linear polarization", cmap=DOLP, vmin=0, vmax=MAX_DOLP)
+    ax.set(xticks=[], yticks=[])  # the frame alone, so that unknown pixels stay grey
 
 
 def _show(ax: Axes, values: Float[Array, "y x"], label: str, extent: Extent | None = None, **style) -> None:
-    """Values through a colour map with its bar; blue-grey where there is no data."""
+    """Draw values through a colour map with its bar; blue-grey where there is no data."""
     ax.set_facecolor(NO_DATA)
     sides = extent and (extent.west_m, extent.east_m, extent.south_m, extent.north_m)
     shown = ax.imshow(values, interpolation="nearest", extent=sides, **style)
@@ -72,20 +68,20 @@ def _show(ax: Axes, values: Float[Array, "y x"], label: str, extent: Extent | No
 
 
 def show_tracks(ax: Axes, rows: xr.Dataset, time_s: float, tail_s: float = 8.0, label: bool = False) -> None:
-    """Confirmed tracks at one time with their tails, told by colour and shape as on the report page.
+    """Draw confirmed tracks at one time with their tails, in the colours and shapes of the report page.
 
     Parameters
     ----------
     ax
-        An Axes in ENU metres.
+        Axes in ENU metres.
     rows
         ``/pan/tracks`` of a result; without its columns ``valid`` and ``false`` every track counts as true.
     time_s
-        Which epoch. [s]
+        Time of the epoch. [s]
     tail_s
-        How far back the tails go. [s]
+        Length of the tails. [s]
     label
-        Write each track's id.
+        Whether to write each track's id.
     """
     if not rows.sizes.get("row"):
         return
@@ -93,37 +89,36 @@ def show_tracks(ax: Axes, rows: xr.Dataset, time_s: float, tail_s: float = 8.0, 
     position = np.stack([rows["east"].values, rows["north"].values], axis=1)
     recent = (t <= time_s + 1e-9) & (t >= time_s - tail_s)
     now = np.isclose(t, time_s)
-    kinds = kinds_of(rows)
-    for kind, (shape, size, said) in _SHAPES.items():
+    kinds = track_kinds(rows)
+    for kind, (shape, size, name) in _SHAPES.items():
         chosen = now & (kinds == kind)
         if not chosen.any():
             continue
         tails = [position[recent & (ident == i)] for i in np.unique(ident[chosen])]
         ax.add_collection(LineCollection(tails, colors=MARKS[kind], linewidths=0.8, path_effects=_OUTLINE))
         style = {"facecolors": "none", "edgecolors": MARKS[kind], "linewidths": 1.2, "path_effects": _OUTLINE}
-        ax.scatter(*position[chosen].T, s=size, marker=shape, label=said, zorder=3, **style)
+        ax.scatter(*position[chosen].T, s=size, marker=shape, label=name, zorder=3, **style)
     for i in np.flatnonzero(now) if label else ():
-        said = ax.annotate(str(ident[i]), position[i], (4, 4), textcoords="offset points", fontsize=7)
-        said.set(color="white", path_effects=_OUTLINE)
+        text = ax.annotate(str(ident[i]), position[i], (4, 4), textcoords="offset points", fontsize=7)
+        text.set(color="white", path_effects=_OUTLINE)
 
 
 def show_missed(
     ax: Axes, truth: xr.Dataset, rows: xr.Dataset, time_s: float, moving_m_s: float = 1.0
 ) -> None:
-    """Moving vehicles of ``/truth`` at one time that no true track of ``rows`` is on, as crosses."""
+    """Draw moving vehicles of ``/truth`` without a true track of ``rows`` at one time, as crosses."""
     if not truth.sizes.get("row"):
         return
     speed = np.hypot(truth["east_speed"].values, truth["north_speed"].values)
-    now = missed(truth, rows, time_s) & (speed >= moving_m_s)
-    shape, size, said = _SHAPES["missed"]
+    now = missed_rows(truth, rows, time_s) & (speed >= moving_m_s)
+    shape, size, name = _SHAPES["missed"]
     style = {"c": MARKS["missed"], "linewidths": 1.0, "path_effects": _OUTLINE}
-    ax.scatter(
-        truth["east"].values[now], truth["north"].values[now], s=size, marker=shape, label=said, **style
-    )
+    place = truth["east"].values[now], truth["north"].values[now]
+    ax.scatter(*place, s=size, marker=shape, label=name, **style)
 
 
 def show_legend(ax: Axes) -> None:
-    """What the marks mean, on grey below the figure."""
+    """Draw the legend of the marks on grey below the figure."""
     handles, labels = ax.get_legend_handles_labels()
     if handles:
         ax.figure.legend(
@@ -132,8 +127,8 @@ def show_legend(ax: Axes) -> None:
         )  # fmt: skip
 
 
-def missed(truth: xr.Dataset, rows: xr.Dataset, time_s: float) -> Array:
-    """Which rows of a truth are of a time, and of a vehicle that no true track is on then."""
+def missed_rows(truth: xr.Dataset, rows: xr.Dataset, time_s: float) -> Array:
+    """Return True for each row of a truth at a time with a vehicle without a true track."""
     now = np.isclose(truth["time_s"].values, time_s)
     if {"vehicle_id", "valid"} <= set(rows.variables):
         on = np.isclose(rows["time_s"].values, time_s) & (rows["valid"].values > 0)
@@ -141,28 +136,26 @@ def missed(truth: xr.Dataset, rows: xr.Dataset, time_s: float) -> Array:
     return now
 
 
-def kinds_of(rows: xr.Dataset) -> Array:
+def track_kinds(rows: xr.Dataset) -> Array:
     """Kind of each row, a key of `figures.MARKS`."""
     count = rows.sizes["row"]
     flags = {
         name: rows[name].values > 0 if name in rows else np.full(count, name == "valid")
         for name in ("valid", "false", "coasted")
     }
-    held = np.where(flags["valid"], np.where(flags["coasted"], "coast", "true"), "other")
-    return np.where(flags["false"], "false", held)
+    kinds = np.where(flags["valid"], np.where(flags["coasted"], "coast", "true"), "other")
+    return np.where(flags["false"], "false", kinds)
 
 
 def show_completeness(ax: Axes, result: xr.DataTree) -> None:
-    """Track completeness against time for every channel of a result."""
+    """Draw track completeness against time for every channel of a result."""
     for channel, colour in LOOP_COLOURS.items():
         if channel in result.children:
             node = result[channel]
             purity = float(node.attrs.get("purity", np.nan))
             label = f"{channel} (purity {purity:.2f})" if np.isfinite(purity) else channel
             ax.plot(node["time"], node["completeness"], color=colour, label=label)
-    ax.set(xlabel="time [s]", ylabel="track completeness", ylim=(0, 1.02))
-    ax.set_title("Moving vehicles held, Eq. (13)")
-    ax.grid(alpha=0.3)
+    label_axes(ax, "time [s]", "track completeness", "Track completeness, Eq. (13)", ylim=(0, 1.02))
     ax.legend()
 
 
@@ -171,11 +164,6 @@ def _extent(image: xr.Dataset) -> Extent:
     half = 0.5 * float(image.attrs["gsd_m"])
     x, y = image["x"].values, image["y"].values
     return Extent(x[0] - half, y[-1] - half, x[-1] + half, y[0] + half)
-
-
-def _without_ticks(ax: Axes) -> None:
-    """A picture in elements: its frame alone, so that what is not known stays grey."""
-    ax.set(xticks=[], yticks=[])
 
 
 def _ground_axes(ax: Axes, image: xr.Dataset | None = None) -> None:
