@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from glintrack.core.designs import validate_design
 from glintrack.study import StudyDesign, build_plan, comparisons
 from glintrack.study.comparisons import (
     all_contrasts,
@@ -203,9 +204,9 @@ BASE = "channels = ['pan', 'dolp']\n[flight]\nframes = 8\n"
 def test_a_contrast_of_what_is_not_varied_is_refused(tmp_path, keys, said):
     base = tmp_path / "base.toml"
     base.write_text(BASE)
+    values = {"axes": {"sensor.pitch_um": [17, 10.8]}, "contrasts": [{"label": "x", **keys}]}
     with pytest.raises(ValueError, match=said):
-        design = StudyDesign(axes={"sensor.pitch_um": [17, 10.8]}, contrasts=[{"label": "x", **keys}])
-        build_plan(design, base)
+        build_plan(validate_design(StudyDesign, values), base)
 
 
 def test_ranks_under_what_is_not_varied_are_refused():
