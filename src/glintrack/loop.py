@@ -306,7 +306,7 @@ def _rectify(case: Case, city: City, sensor: Sensor, surface: xr.Dataset | None)
 
 def _column_of(sensor: Sensor, terrain: xr.Dataset, pose: Pose, enu: Array) -> Array:
     """Superpixel column that sees each point of the ground, −1 off the array."""
-    return sensor.column_of(on_ground(terrain, enu), pose)
+    return sensor.superpixel_of(on_ground(terrain, enu), pose)[:, 1]
 
 
 def _serve_spectra(

@@ -37,7 +37,7 @@ WORK = {
     "sensor expose": ("glintrack.results.run.expose_view",),
     "sensor ghosts": ("glintrack.sensor.ghosts",),
     "sensor lens": ("glintrack.sensor.lens_quality",),
-    "sensor list": ("glintrack.sensor.ready_designs",),
+    "sensor list": ("glintrack.sensor.design_names",),
     "sensor show": ("glintrack.sensor.sensor.summary",),
     "study report": ("glintrack.study.write_report",),
     "study run": ("glintrack.study.run_study",),

@@ -15,7 +15,7 @@ from glintrack.bounds.position import STEP_M, position_information
 from glintrack.bounds.run import FlightBudget, measure_bounds
 from glintrack.render import unpack_sky
 from glintrack.results.verdict import accuracy_lines, format_accuracy
-from glintrack.sensor import build_sensor, dark_noise_e
+from glintrack.sensor import build_sensor
 from tests.bounds.test_run import case
 from tests.plain import plain_sensor
 
@@ -34,7 +34,7 @@ def test_a_smooth_blob_says_what_the_closed_form_says():
     on = np.where(np.hypot(row - 40, column - 40) < 6, 7, -1)
     frames = [blob(), blob(STEP_M), blob(0.0, STEP_M)]
     found = position_information("all", frames, assign_elements(on), np.array([7]), sensor)[0]
-    expected = np.pi * high**2 / (2 * pitch_m**2 * (ground + dark_noise_e(sensor) ** 2))
+    expected = np.pi * high**2 / (2 * pitch_m**2 * (ground + sensor.design.dark_noise_e**2))
     missed = 0.05  # what changes by less than 5 % of the noise is not counted, and the step is no derivative
     np.testing.assert_allclose(np.diag(found), expected, rtol=missed)
     assert abs(found[0, 1]) < 0.02 * expected

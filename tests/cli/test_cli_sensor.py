@@ -14,7 +14,7 @@ from glintrack.core.schema import check
 from glintrack.io.photographs import read_camera, read_pose
 from glintrack.ortho import rectify_frame
 from glintrack.scene import load_materials
-from glintrack.sensor import ready_designs
+from glintrack.sensor import design_names
 from tests.conftest import ThreeCars
 
 CASE = """
@@ -48,7 +48,7 @@ def glintrack(monkeypatch, capsys):
 
 def test_the_list_names_every_ready_design(glintrack):
     code, out, _ = glintrack("sensor", "list")
-    assert code == 0 and all(name in out for name in ready_designs())
+    assert code == 0 and all(name in out for name in design_names())
 
 
 def test_lens_pictures_appear_together_or_not_at_all(glintrack, tmp_path):

@@ -90,9 +90,9 @@ def test_a_design_is_frozen_and_describes_its_fields():
 
 
 def test_another_ready_design_replaces_the_first_ones_values():
-    from glintrack.sensor import ready_designs
+    from glintrack.sensor import design_names
 
-    first, second, *_ = ready_designs()
+    first, second, *_ = design_names()
     begun = validate_design(SensorDesign, {"ready": first, "bits": 9})
     assert begun.replace({"ready": second}) == validate_design(SensorDesign, {"ready": second, "bits": 9})
 

@@ -47,7 +47,7 @@ def test_noise_and_missing_pixels_are_borne():
 
 def test_displacements_beyond_reach_are_not_claimed():
     at = texture()
-    rows, columns, _ = displacement_between(at(12, 9), at(), most_px=5)
+    rows, columns, _ = displacement_between(at(12, 9), at(), max_px=5)
     assert math.isnan(rows) and math.isnan(columns)
 
 

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from glintrack.core.records import ServedQueries
 from glintrack.sensor import SensorDesign, build_sensor, mosaic_of, next_exposure_ms, read_out, with_exposure
-from glintrack.sensor.exposure import LARGEST_STEP
+from glintrack.sensor.exposure import FULL_SHARE, MAX_STEP
 from tests.plain import plain_sensor
 
 GRID = np.round(np.arange(0.4, 1.0001, 0.02), 9)
@@ -34,29 +34,29 @@ def test_without_a_quantile_every_frame_has_the_designs_exposure():
 
 def test_the_next_frame_holds_the_quantile_at_its_share():
     """The mirrors, a quarter of the elements, have twice the light of polarizers: the upper quarter."""
-    sensor = sensor_of(auto_exposure={"quantile": 0.9, "full_share": 0.5, "longest_ms": 10.0})
+    sensor = sensor_of(auto_exposure={"quantile": 0.9, "longest_ms": 10.0})
     for _ in range(4):
         sensor = with_exposure(sensor, next_exposure_ms(sensor, readings(sensor, RADIANCE)))
     mirror_e = RADIANCE * sensor.electrons_per_reading[sensor.mirror_element]
-    assert mirror_e == pytest.approx(0.5 * sensor.design.full_well_e, rel=0.01)
+    assert mirror_e == pytest.approx(FULL_SHARE * sensor.design.full_well_e, rel=0.01)
     assert sensor.exposure_part == pytest.approx(sensor.design.integration_time_ms / 0.085, rel=1e-9)
 
 
 def test_full_elements_shorten_it_until_none_is():
-    sensor = sensor_of(integration_time_ms=1.0, auto_exposure={"quantile": 0.9, "full_share": 0.5})
+    sensor = sensor_of(integration_time_ms=1.0, auto_exposure={"quantile": 0.9})
     seen = []
-    for _ in range(12):
+    for _ in range(24):
         measured = readings(sensor, 30 * RADIANCE)
         sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))
         seen.append(sensor.design.integration_time_ms)
-    assert seen[0] == pytest.approx(0.5, rel=0.01)  # all it knows: the well was full
+    assert seen[0] == pytest.approx(FULL_SHARE, rel=0.01)  # the well was full
     mirror_e = 30 * RADIANCE * sensor.electrons_per_reading[sensor.mirror_element]
-    assert mirror_e == pytest.approx(0.5 * sensor.design.full_well_e, rel=0.02)
+    assert mirror_e == pytest.approx(FULL_SHARE * sensor.design.full_well_e, rel=0.02)
 
 
 def test_limits_and_steps():
     sensor = sensor_of(auto_exposure={"quantile": 0.9, "longest_ms": 0.4}, integration_time_ms=0.05)
-    assert next_exposure_ms(sensor, readings(sensor, 0.0)) == pytest.approx(LARGEST_STEP * 0.05)
+    assert next_exposure_ms(sensor, readings(sensor, 0.0)) == pytest.approx(MAX_STEP * 0.05)
     later = with_exposure(sensor, 0.19)
     assert next_exposure_ms(later, readings(later, 0.0)) == 0.4
 

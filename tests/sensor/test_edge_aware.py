@@ -34,9 +34,8 @@ def test_no_stokes_vector_is_inconsistent(layout):
 
 
 def guide_of(readings, layout):
-    """That of the kernel, of a whole frame."""
-    whole = np.ascontiguousarray(readings, np.float64)
-    return demosaicking._guide(0, len(whole), whole, inconsistency(layout), demosaicking._least(whole))
+    """Guide of a whole frame."""
+    return demosaicking._guide(np.asarray(readings, np.float64), inconsistency(layout))
 
 
 def guide_by_filters(readings, layout):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from glintrack.sensor import LensDesign, ghosts, read_lens, with_window
-from glintrack.sensor.ghosts import unfolded
+from glintrack.sensor.ghosts import unfold
 from glintrack.sensor.lens import LensSurface, build_optic
 
 UM = 0.5
@@ -89,7 +89,7 @@ def test_a_coating_stands_for_bare_glass_and_the_way_is_the_windows():
     coated = with_window(read_lens("relay"), 1.0, 2.0, reflectance=0.01)
     shares = {(g.later, g.earlier): g.share for g in ghosts(coated, 1, image_reflectance=0.0)}
     assert shares == pytest.approx({(5, 4): 1e-4})
-    path = unfolded(coated, 5, 4)
+    path = unfold(coated, 5, 4)
     assert [s.material for s in path.surfaces[-4:]] == ["N-BK7", "mirror", "mirror", "air"]
     assert sum(s.thickness_mm for s in path.surfaces) == pytest.approx(
         sum(s.thickness_mm for s in coated.surfaces)

@@ -33,7 +33,7 @@ def test_rays_go_where_the_wavefront_says(design, field, place):
     lens = read_lens("relay")
     optic = build_optic(lens)
     rings = 12
-    image = 1e3 * ray_paths(optic, lens, field, 0.7, rings)[-1, :, :2]
+    image = 1e3 * ray_paths(optic, lens, lens.fields_mm[field], 0.7, rings)[-1, :, :2]
     ring = np.concatenate([[0.0], *(np.full(6 * r, r / rings) for r in range(1, rings + 1))])
     turn = np.concatenate([[0.0], *(2 * np.pi * np.arange(6 * r) / (6 * r) for r in range(1, rings + 1))])
     x, y = ring * np.cos(turn), ring * np.sin(turn)
@@ -86,7 +86,7 @@ def test_the_relays_distortion_goes_into_the_camera(design):
     lens = read_lens("relay")
     x, y = np.meshgrid(np.linspace(-7, 7, 5), np.linspace(-4.5, 4.5, 4))
     objects = np.stack([x, y], axis=-1).reshape(-1, 2)
-    image, _ = image_of(lens, objects + (0.0, 41.0), 0.7)
+    image, *_ = image_of(lens, objects + (0.0, 41.0), 0.7)
     left = []
     for distortion in (None, design.optics.distortion):
         camera = Camera(0.068, 17e-6, 580, 880, distortion=distortion)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from glintrack.core.records import ServedQueries
-from glintrack.sensor import dark_noise_e, detector_readout, mosaic_of
+from glintrack.sensor import detector_readout, mosaic_of
 from tests.sensor.light import NOISELESS, sensor_of, uniform
 
 
@@ -22,7 +22,7 @@ def test_sigma_is_the_spread_of_repeated_exposures():
         for j in range(2):
             spread = electrons[:, i::2, j::2].std(axis=0).mean()
             np.testing.assert_allclose(spread, expected[i::2, j::2].mean(), rtol=0.02)
-    assert (expected > dark_noise_e(sensor)).all()
+    assert (expected > sensor.design.dark_noise_e).all()
 
 
 def nobody():

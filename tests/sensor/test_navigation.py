@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from glintrack.camera import Pose, look_at
 from glintrack.sensor import NavigationDesign, navigate, navigation_errors
-from glintrack.sensor.navigation import COMPONENTS
+from glintrack.sensor.navigation import COMPONENTS, HARMONIC_HZ
 
 TRUE = look_at(Pose(10.0, 20.0, 3000.0, 0.1, 0.02, 0.03), (0.0, 0.0, 0.0))
 
@@ -62,15 +62,15 @@ def test_white_errors_are_not_correlated_in_time():
 
 
 def test_the_harmonic_error_is_a_sine_of_its_rms_and_frequency():
-    design = NavigationDesign(harmonic_angle_rms_deg=0.01, harmonic_hz=3.0)
+    design = NavigationDesign(harmonic_angle_rms_deg=0.01)
     series = errors(design, 1000, step_s=0.01)
     np.testing.assert_allclose(series[:, :3], 0)
     rms = math.radians(0.01)
     np.testing.assert_allclose(
         np.sqrt((series[:, 3:] ** 2).mean(axis=0)), rms, rtol=1e-9
-    )  # thirty whole periods
+    )  # 110 whole periods
     spectrum = np.abs(np.fft.rfft(series[:, 4]))
-    assert np.fft.rfftfreq(1000, 0.01)[spectrum.argmax()] == pytest.approx(3.0)
+    assert np.fft.rfftfreq(1000, 0.01)[spectrum.argmax()] == pytest.approx(HARMONIC_HZ)
 
 
 def test_designs_draw_the_same_deviates():

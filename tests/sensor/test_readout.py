@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from glintrack.sensor import dark_noise_e, detector_readout, noise_equivalent_radiance
+from glintrack.sensor import detector_readout, noise_equivalent_radiance
 from glintrack.sensor.fixed_pattern import CALIBRATION_FRAMES
 from tests.sensor.light import sensor_of, uniform
 
@@ -57,7 +57,7 @@ def test_dark_current_adds_shot_noise_and_no_mean():
     dark = readings(sensor, 0.0) * sensor.electrons_per_radiance
     assert dark.mean() == pytest.approx(0, abs=5 * 20 / 256)
     assert dark.std() == pytest.approx(math.hypot(20, 0.5 / math.sqrt(12)), rel=0.02)  # 400 e in 0.1 ms
-    assert dark_noise_e(sensor) == pytest.approx(dark.std(), rel=0.02)
+    assert sensor.design.dark_noise_e == pytest.approx(dark.std(), rel=0.02)
 
 
 def test_fixed_pattern_stays_and_calibration_takes_it_out():

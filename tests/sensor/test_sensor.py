@@ -220,7 +220,7 @@ def test_each_query_gets_the_mirror_that_sees_its_point():
     assert list(zip(served.rows, served.columns, strict=True)) == places
     assert served.is_served.all() and served.refusals == ("",) * 4
     points = np.array([q.position for q in served.queries])
-    np.testing.assert_array_equal(sensor.column_of(points, POSE), [0, 39, 7, 20])
+    np.testing.assert_array_equal(sensor.superpixel_of(points, POSE)[:, 1], [0, 39, 7, 20])
 
 
 def test_one_query_a_column_highest_priority_first():
@@ -241,7 +241,7 @@ def test_a_query_outside_the_frame_is_refused():
     sensor = sensor_of()
     served = serve((SpectralQuery(5000.0, 0.0), SpectralQuery(0.0, -9000.0, 4000.0)), sensor, POSE)
     assert not served.is_served.any() and served.refusals == ("outside the frame",) * 2
-    np.testing.assert_array_equal(sensor.column_of(np.array([[5000.0, 0, 0]]), POSE), [-1])
+    np.testing.assert_array_equal(sensor.superpixel_of(np.array([[5000.0, 0, 0]]), POSE)[:, 1], [-1])
 
 
 def test_no_queries_no_mirrors():

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import j1
 
 from glintrack.sensor import modulation_transfer, point_spread
-from glintrack.sensor.lens_kernels import WING_CELL, diffracted_share, lens_kernels, through_lens, with_wings
+from glintrack.sensor.lens_kernels import WING_CELL, diffraction_share, lens_kernels, through_lens, with_wings
 from glintrack.sensor.wavefront import noll_indices, pupil, relative_illumination, wavefront_um, zernike
 from tests.plain import plain_sensor
 
@@ -211,7 +211,7 @@ def test_kernels_over_the_field_follow_the_lens():
 
 
 def test_scatter_keeps_the_light_and_reaches_far():
-    design = design_of(optics={"scatter_fraction": 0.1, "scatter_shoulder_mrad": 1.0}, rows=160, columns=240)
+    design = design_of(optics={"scatter_fraction": 0.1}, rows=160, columns=240)
     np.testing.assert_allclose(with_wings(np.full((160, 240), 7.0), design, 0.0, 50.0), 7.0, rtol=1e-5)
     point = np.zeros((160, 240))
     point[80 : 80 + WING_CELL, 120 : 120 + WING_CELL] = 100
@@ -228,7 +228,7 @@ def test_what_lies_beyond_a_square_is_what_edges_diffract(obscuration):
     spread = point_spread(design, LAMBDA_UM, step_um, 97) * step_um**2
     for half in (24, 48):
         inside = spread[48 - half : 49 + half, 48 - half : 49 + half].sum()
-        beyond = diffracted_share(design, LAMBDA_UM, (half + 0.5) * step_um)
+        beyond = diffraction_share(design, LAMBDA_UM, (half + 0.5) * step_um)
         assert 1 - inside == pytest.approx(beyond, rel=0.1)
 
 

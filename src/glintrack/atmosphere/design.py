@@ -39,62 +39,31 @@ class AtmosphereDesign(Design):
     O₂, CO₂, CH₄ and N₂O are those of the US standard atmosphere. Every spectral value is a mean over 10 nm.
     """
 
-    aerosol: Literal["none", "clear", "maritime", "urban"] = Field(
-        default="clear", description="clear is continental, urban is haze with soot"
-    )
-    visibility_km: float | None = Field(
-        default=None,
-        ge=1,
-        le=300,
-        description="Meteorological range at the ground (2 % contrast at 0.55 µm); excludes aod_550",
-    )
-    aod_550: float | None = Field(
-        default=None,
-        ge=0,
-        le=3,
-        description="Vertical aerosol optical depth at 0.55 µm; default clear 0.1, maritime 0.15, urban 0.5",
-    )
+    aerosol: Literal["none", "clear", "maritime", "urban"] = "clear"
+    """clear is continental, urban is haze with soot."""
+    visibility_km: float | None = Field(default=None, ge=1, le=300)
+    """Meteorological range at the ground (2 % contrast at 0.55 µm); excludes aod_550."""
+    aod_550: float | None = Field(default=None, ge=0, le=3)
+    """Vertical aerosol optical depth at 0.55 µm; default clear 0.1, maritime 0.15, urban 0.5."""
     water_cm: float = Field(default=2.9, ge=0, le=10, description="Vertical column of precipitable water")
-    sun_zenith_deg: float | None = Field(
-        default=None,
-        ge=0,
-        le=HIGHEST_SUN_ZENITH_DEG,
-        description="Zenith angle of the sun; with sun_azimuth_deg, instead of place and time",
-    )
-    sun_azimuth_deg: float | None = Field(
-        default=None, ge=-360, le=360, description="Azimuth of the sun, clockwise from north"
-    )
+    sun_zenith_deg: float | None = Field(default=None, ge=0, le=HIGHEST_SUN_ZENITH_DEG)
+    """Zenith angle of the sun; with sun_azimuth_deg, instead of place and time."""
+    sun_azimuth_deg: float | None = Field(default=None, ge=-360, le=360)
+    """Azimuth of the sun, clockwise from north."""
     latitude_deg: float = Field(default=43.16, ge=-90, le=90, description="Of the place, north positive")
     longitude_deg: float = Field(default=-77.61, ge=-180, le=180, description="Of the place, east positive")
-    date: datetime.date = Field(
-        default=datetime.date(2010, 7, 15),
-        description="Sets the earth-sun distance, and with place and time the sun",
-    )
-    local_time_h: float = Field(
-        default=15.0,
-        ge=0,
-        le=24,
-        description="Local *standard* time, also in summer (docs/guide/study.md)",
-    )
-    utc_offset_h: float | None = Field(
-        default=None,
-        ge=-12,
-        le=14,
-        description="Of local standard time; the time zone of the longitude if left out",
-    )
-    wavelength_stop_um: float = Field(
-        default=1.0,
-        gt=MIN_WAVELENGTH_UM,
-        le=MAX_WAVELENGTH_UM,
-        description="Last wavelength of a grid from 0.4 µm in steps of 0.01 µm",
-    )
-    wavelengths_um: tuple[_Wavelength, ...] | None = Field(
-        default=None, description="A list from 0.4 to 2.5 µm instead of that grid"
-    )
-    altitudes_m: tuple[_Height, ...] = Field(
-        default=(500.0, 1000.0, 2000.0, 3000.0, 5000.0, 10000.0),
-        description="Heights above the ground at which the path is tabulated, rising",
-    )
+    date: datetime.date = datetime.date(2010, 7, 15)
+    """Sets the earth-sun distance, and with place and time the sun."""
+    local_time_h: float = Field(default=15.0, ge=0, le=24)
+    """Local *standard* time, also in summer (docs/guide/study.md)."""
+    utc_offset_h: float | None = Field(default=None, ge=-12, le=14)
+    """Of local standard time; the time zone of the longitude if left out."""
+    wavelength_stop_um: float = Field(default=1.0, gt=MIN_WAVELENGTH_UM, le=MAX_WAVELENGTH_UM)
+    """Last wavelength of a grid from 0.4 µm in steps of 0.01 µm."""
+    wavelengths_um: tuple[_Wavelength, ...] | None = None
+    """A list from 0.4 to 2.5 µm instead of that grid."""
+    altitudes_m: tuple[_Height, ...] = (500.0, 1000.0, 2000.0, 3000.0, 5000.0, 10000.0)
+    """Heights above the ground at which the path is tabulated, rising."""
     streams: int = Field(default=16, ge=4, le=40, description="Discrete ordinates over the full sphere, even")
 
     @model_validator(mode="after")

@@ -14,7 +14,7 @@ from glintrack.camera import Camera, Pose, project, rays
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
 from glintrack.render import Hits
-from glintrack.sensor import Sensor, depolarized, photo_electrons, read_out
+from glintrack.sensor import Sensor, depolarize, photo_electrons, read_out
 
 _MARGIN = 2  # elements about a vehicle that the lens smears it over
 _SHADOW_STEP_M = 0.3  # of height
@@ -69,7 +69,7 @@ def mean_electrons(
     planes: Float[Array, "plane row column"], sensor: Sensor, polarized: bool = True
 ) -> Float[Array, "row column"]:
     """Mean photoelectrons of each element; of the light with S1 = S2 = 0 if not ``polarized``. [e]"""
-    light = planes if polarized else depolarized(planes, sensor)
+    light = planes if polarized else depolarize(planes, sensor)
     return photo_electrons(light, sensor) * sensor.pattern.gain
 
 
@@ -77,7 +77,7 @@ def sample_electrons(
     planes: Float[Array, "plane row column"], sensor: Sensor, rng: np.random.Generator, polarized: bool = True
 ) -> Float[Array, "row column"]:
     """Photoelectrons after readout with noise, fixed pattern and full well, and calibration. [e]"""
-    light = planes if polarized else depolarized(planes, sensor)
+    light = planes if polarized else depolarize(planes, sensor)
     rows, columns = sensor.camera.rows, sensor.camera.columns
     one = np.tile(sensor.electrons_per_reading, (rows // sensor.side + 1, columns // sensor.side + 1))
     return read_out(light, sensor, rng) * (one[:rows, :columns] * sensor.pattern.known_gain)

@@ -31,7 +31,7 @@ from glintrack.bounds.evidence import (
 from glintrack.bounds.finder import DIRECTIONS, FOOTPRINTS_M
 from glintrack.bounds.frame import full_electrons
 from glintrack.core.arrays import Array
-from glintrack.sensor import Sensor, dark_noise_e
+from glintrack.sensor import Sensor
 
 REACH_ELEMENTS = 14.0  # from a vehicle's silhouette: its shadow
 _CHANGED = 0.05  # of the noise: less is the renderer's rounding
@@ -81,7 +81,7 @@ def ideal_observer(
         Random generator of the draws of DoLP.
     """
     probability, d_prime = np.zeros(len(vehicles)), np.zeros(len(vehicles))
-    frames, dark_e, full_e = (without_e, present_e), dark_noise_e(sensor), full_electrons(sensor)
+    frames, dark_e, full_e = (without_e, present_e), sensor.design.dark_noise_e, full_electrons(sensor)
     means = [np.minimum(mean, full_e) for mean in frames]
     read = [(mean, np.maximum(mean, 0) + dark_e**2) for mean in means]
     for k, rows, columns in find_changes(*frames, nearest, vehicles, dark_e):

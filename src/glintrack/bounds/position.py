@@ -23,7 +23,7 @@ from glintrack.camera import Pose
 from glintrack.core.arrays import Array
 from glintrack.render import Hits, Observer, elements_near_traffic
 from glintrack.scene import Snapshot
-from glintrack.sensor import Sensor, dark_noise_e
+from glintrack.sensor import Sensor
 
 STEP_M = 0.25
 RAYS = 6  # along each side of an element
@@ -94,7 +94,7 @@ def position_information(
     sensor
         The sensor.
     """
-    full, dark_e = full_electrons(sensor), dark_noise_e(sensor)
+    full, dark_e = full_electrons(sensor), sensor.design.dark_noise_e
     present, east, north = (np.minimum(e, full) for e in expected_e)
     out = np.zeros((len(vehicles), 2, 2))
     frames = [(e, np.maximum(e, 0) + dark_e**2) for e in (present, east, north)]

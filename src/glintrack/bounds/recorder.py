@@ -29,10 +29,10 @@ from glintrack.bounds.predictor import PAST, PredictedBackground, predict
 from glintrack.camera import project
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import BackgroundTask, map_threads
-from glintrack.ortho import on_ground, seen_ground
+from glintrack.ortho import intersect_terrain, on_ground
 from glintrack.render import Hits, Observer
 from glintrack.scene import Snapshot
-from glintrack.sensor import Sensor, dark_noise_e
+from glintrack.sensor import Sensor
 
 POSITIONS_EVERY = 4  # interval of the measured frames with information on positions: a third of the cost
 _TALL_M = 2.2
@@ -94,7 +94,7 @@ class BudgetRecorder:
         snapshot = self.observer.city.at(frame.time_s)
         bare = self.observer.trace_without_traffic(snapshot, frame.true_pose, hits)
         without = frame.planes_with(bare)
-        below = seen_ground(self.observer.city.terrain, camera, frame.reported_pose)
+        below = intersect_terrain(self.observer.city.terrain, camera, frame.reported_pose)
         points = self._near(element_points(hits, camera, frame.true_pose, bare)), self._near(below)
         begin, nearest = self._vehicles(frame, snapshot), assign_elements(vehicles_on(hits))
         moved = []
@@ -162,7 +162,7 @@ class BudgetRecorder:
         polarized: bool,
     ) -> dict[str, tuple[PredictedBackground, Array]]:
         """Backgrounds by stage, each with the places of the finder's cells in the frame at its pose."""
-        dark2, sensor, full = dark_noise_e(self.sensor) ** 2, self.sensor, full_electrons(self.sensor)
+        dark2, sensor, full = self.sensor.design.dark_noise_e**2, self.sensor, full_electrons(self.sensor)
         true_cells, reported_cells = (
             cell_places(self.observer.camera, pose, self._ground_m, self.observer.city.extent_m)
             for pose in (frame.true_pose, frame.reported_pose)

@@ -11,7 +11,7 @@ from glintrack.camera import Pose
 from glintrack.case.design import Case
 from glintrack.core.records import GroundPlace
 from glintrack.flight import Flight, build_flight, check_recorded
-from glintrack.ortho import ground_grid, rectify_stokes
+from glintrack.ortho import ground_grid, rectify_array
 from glintrack.render import Observer, Sky, unpack_sky
 from glintrack.render.frame import FrameView, GroundGrid
 from glintrack.render.observer import FrameRadiance
@@ -154,12 +154,13 @@ def _ground_grid(case: Case, scenario: Scenario, pose: Pose, gsd_m: float) -> Gr
     west_m, _, _, north_m = city.extent_m
     place = GroundPlace(city.crs, west_m + city.origin_easting_m, north_m + city.origin_northing_m, gsd_m)
     rectify = partial(
-        rectify_stokes,
+        rectify_array,
         camera=scenario.sensor.camera,
-        pose=pose,
+        reported_pose=pose,
         terrain=city.terrain,
         gsd_m=float(gsd_m),
         area_m=city.extent_m,
         method=case.ortho.method,
+        is_stokes=True,
     )
     return GroundGrid(len(north), len(east), place, rectify)

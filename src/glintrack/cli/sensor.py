@@ -23,10 +23,10 @@ from glintrack.results.run import expose_view
 from glintrack.sensor import (
     SensorDesign,
     build_sensor,
+    design_names,
     ghosts,
     lens_quality,
     read_lens,
-    ready_designs,
     with_window,
 )
 from glintrack.sensor.sensor import summary
@@ -46,7 +46,7 @@ def list_designs() -> None:
     table = Table(title="ready designs", title_justify="left")
     for heading in ("name", "elements", "pitch µm", "focal length mm", "F", "superpixel", "polarizer"):
         table.add_column(heading)
-    for name in ready_designs():
+    for name in design_names():
         d = validate_design(SensorDesign, {"ready": name})
         table.add_row(
             name,
@@ -201,10 +201,10 @@ def expose_frame(
 
 
 def _design(name: str) -> SensorDesign:
-    if name in ready_designs() and not Path(name).exists():
+    if name in design_names() and not Path(name).exists():
         return validate_design(SensorDesign, {"ready": name})
     if not Path(name).suffix and not Path(name).exists() and name not in list_cases():
-        hint = suggest_name(name, [*ready_designs(), *list_cases()])
+        hint = suggest_name(name, [*design_names(), *list_cases()])
         raise ValueError(
             f"`sensor` must be a ready design, a packaged case or a TOML file, got {name} ({hint})"
         )
@@ -212,7 +212,7 @@ def _design(name: str) -> SensorDesign:
     table = over_like(read_toml(path, "sensor")).get("sensor")
     if not isinstance(table, dict):
         raise ValueError(
-            f"`sensor` must be one of {', '.join(ready_designs())} or a TOML file with a [sensor] table, "
+            f"`sensor` must be one of {', '.join(design_names())} or a TOML file with a [sensor] table, "
             f"got {name}"
         )
     return validate_design(SensorDesign, table).located(path.parent)

@@ -59,9 +59,8 @@ class GapActuatorDesign(Design):
     """Electrodes and springs of the upper film; the ``[actuator]`` table of an etalon."""
 
     rest_gap_nm: float = Field(default=460.0, gt=0, le=1e5, description="Optical gap without voltage")
-    electrode_gap_um: float = Field(
-        default=1.5, gt=0, le=100, description="Of the electrodes, apart from the optical gap"
-    )
+    electrode_gap_um: float = Field(default=1.5, gt=0, le=100)
+    """Of the electrodes, apart from the optical gap."""
     electrode_area_um2: float = Field(default=100.0, gt=0, le=1e6)
     spring_n_per_m: float = Field(default=1.0, gt=0, le=1e4)
 
@@ -81,12 +80,8 @@ class EtalonDesign(Design):
     wavelength_step_um: float = Field(default=0.01, gt=0, le=0.5)
     incidence_deg: float = Field(default=0.0, ge=0, lt=90, description="Of the chief ray, in air")
     polarization: Literal["s", "p", "unpolarized"] = "unpolarized"
-    f_number: float | None = Field(
-        default=None,
-        ge=0.6,
-        le=1000,
-        description="Of the cone of light on the pixel [default: parallel light]",
-    )
+    f_number: float | None = Field(default=None, ge=0.6, le=1000)
+    """Of the cone of light on the pixel [default: parallel light]."""
     order_filter: OrderFilterDesign | None = None
     actuator: GapActuatorDesign = GapActuatorDesign()
 

@@ -77,18 +77,13 @@ LORENTZ_DRUDE: dict[str, LorentzDrude] = {
 class MetalDesign(Design):
     """A metal and how its optical constants are known; the ``[metal]`` table of a device's design."""
 
-    model: Literal["conductivity", "lorentz-drude", "table"] = Field(
-        default="conductivity",
-        description="`conductivity` (ε = 1 + iσ/(ωε₀)), `lorentz-drude` (Rakić 1998), `table` (CSV of n, k)",
-    )
+    model: Literal["conductivity", "lorentz-drude", "table"] = "conductivity"
+    """`conductivity` (ε = 1 + iσ/(ωε₀)), `lorentz-drude` (Rakić 1998), `table` (CSV of n, k)."""
     name: MetalName = Field(default="aluminium", description="Which metal, for `lorentz-drude`")
-    conductivity_s_per_m: float = Field(
-        default=PAPER_ALUMINIUM_S_PER_M, ge=0, le=1e9, description="σ, for `conductivity`"
-    )
-    table: Path | None = Field(
-        default=None,
-        description="CSV with columns wavelength_um, n, k (n + ik), for `table`; from where the design lies",
-    )
+    conductivity_s_per_m: float = Field(default=PAPER_ALUMINIUM_S_PER_M, ge=0, le=1e9)
+    """σ, for `conductivity`."""
+    table: Path | None = None
+    """CSV with columns wavelength_um, n, k (n + ik), for `table`; from where the design lies."""
 
     @model_validator(mode="after")
     def _a_table_has_a_file(self) -> Self:

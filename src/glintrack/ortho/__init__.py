@@ -3,8 +3,8 @@
 from glintrack.ortho.grid import (
     ground_grid,
     heights_at,
+    intersect_terrain,
     on_ground,
-    seen_ground,
     transform_axes,
     transform_places,
 )
@@ -15,7 +15,6 @@ from glintrack.ortho.rectify import (
     rectify_array,
     rectify_frame,
     rectify_onto,
-    rectify_stokes,
     register,
 )
 
@@ -23,15 +22,14 @@ __all__ = [
     "METHODS",
     "ground_grid",
     "heights_at",
+    "intersect_terrain",
     "occlusion_mask",
     "on_ground",
     "orthorectify",
     "rectify_array",
     "rectify_frame",
     "rectify_onto",
-    "rectify_stokes",
     "register",
-    "seen_ground",
     "transform_axes",
     "transform_places",
 ]

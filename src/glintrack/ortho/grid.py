@@ -1,4 +1,4 @@
-"""The ground grid: its cells' places, in any CRS, and the heights under them."""
+"""The ground grid: places of its cells in any CRS, and the heights under them."""
 
 import numba as nb
 import numpy as np
@@ -7,6 +7,7 @@ import xarray as xr
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 from pyproj.exceptions import CRSError
+from scipy.interpolate import RegularGridInterpolator
 
 from glintrack.camera import Camera, Pose, rays
 from glintrack.core.arrays import Array
@@ -15,7 +16,7 @@ from glintrack.core.parallel import over_rows
 from glintrack.io.crs import change_crs
 
 _LATTICE = 32  # cells between places that are transformed exactly
-_LATTICE_ERROR = 0.02  # of a cell, before every place is transformed exactly
+_MAX_LATTICE_ERROR = 0.02  # of a cell; otherwise every place is transformed exactly
 _DESCENTS = 4  # of a ray onto the terrain
 
 
@@ -44,7 +45,7 @@ def transform_axes(
 
     Returns
     -------
-    x and y of every cell in the other CRS, exact on a lattice and linear between where that is good to a
+    x and y of every cell in the other CRS, exact on a lattice and linear between where that is correct to a
     fiftieth of a cell. [unit of to_crs]
 
     Raises
@@ -67,13 +68,10 @@ def transform_axes(
         mean = (coarse[:, 1:, 1:] + coarse[:, 1:, :-1] + coarse[:, :-1, 1:] + coarse[:, :-1, :-1]) / 4
         steps = coarse[:, :2, :2]
         side = min(np.hypot(*(steps[:, 0, 1] - steps[:, 0, 0])), np.hypot(*(steps[:, 1, 0] - steps[:, 0, 0])))
-        if np.abs(middle - mean).max() < _LATTICE_ERROR * side / _LATTICE:
-            rows, columns = np.arange(shape[0]), np.arange(shape[1])
-            by_row = [np.array([np.interp(columns, j, line) for line in plane]) for plane in coarse]
-            k = np.clip(np.searchsorted(i, rows, side="right") - 1, 0, len(i) - 2)
-            part = ((rows - i[k]) / (i[k + 1] - i[k]))[:, None]
-            east, north = ((1 - part) * plane[k] + part * plane[k + 1] for plane in by_row)
-            return east, north
+        if np.abs(middle - mean).max() < _MAX_LATTICE_ERROR * side / _LATTICE:
+            between = RegularGridInterpolator((i, j), np.moveaxis(coarse, 0, -1))
+            places = between(tuple(np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")))
+            return places[..., 0], places[..., 1]
     east, north = exact(x, y)
     return east, north
 
@@ -97,7 +95,7 @@ def _crs(crs: str) -> pyproj.CRS:
 
 
 def on_ground(terrain: xr.Dataset, enu: Float[Array, "point axis"]) -> Float[Array, "point 3"]:
-    """Points set on the ground; beyond the terrain the height of its edge holds. [m]
+    """Set points on the ground, with constant heights outside the terrain. [m]
 
     Parameters
     ----------
@@ -109,12 +107,12 @@ def on_ground(terrain: xr.Dataset, enu: Float[Array, "point axis"]) -> Float[Arr
     return np.column_stack([enu[:, :2], height_at(terrain, enu[:, 0], enu[:, 1])])
 
 
-def seen_ground(
+def intersect_terrain(
     terrain: xr.Dataset, camera: Camera, pose: Pose, pixels: Float[Array, "... 2"] | None = None
 ) -> Float[Array, "... 3"]:
-    """Where the rays through pixels meet the terrain: where rectification puts what they show. [m]
+    """Intersect the rays through pixels with the terrain, as rectification does. [m]
 
-    Each ray goes down to the height of the ground below the place that it reached before, from the level of
+    Each ray is intersected with the height of the ground below its previous point, starting at the level of
     the ENU origin.
 
     Parameters
@@ -122,7 +120,7 @@ def seen_ground(
     terrain
         Schema ``terrain``.
     camera, pose
-        The camera and where it is, or is said to be.
+        The camera and its pose.
     pixels
         (row, column); the middles of all elements by default. [element]
 
@@ -149,9 +147,9 @@ def heights_at(heights: Float[Array, "row column"], row: ArrayLike, column: Arra
     Parameters
     ----------
     heights
-        NaN where the raster has none: what it touches has none either. [m]
+        NaN where the raster has none, which makes all pixels that use it NaN. [m]
     row, column
-        Centres at integers; up to half a pixel beyond the outermost centres their height holds. [pixel]
+        Centres at integers; constant up to half a pixel beyond the outermost centres. [pixel]
 
     Returns
     -------

@@ -1,13 +1,13 @@
-"""The compiled sweep over a ground grid: each cell's place in the frame by collinearity, and a sample there.
+"""Compiled sweep over a ground grid: the place of each cell in the frame by collinearity, and a sample there.
 
-Row by row, in loops that a compiler makes vectors of: cells' places from the grid and its heights, Eqs.
-(4)–(5), pixels and what is left of a pixel, samples. Single precision is enough because everything counts
-from a place amid the grid and the pixel it falls on, not from the lens.
+Row by row, in loops that vectorise: places of cells from the grid and its heights, Eqs. (4)–(5), pixels and
+fractions of a pixel, samples. Single precision is enough because all coordinates are relative to a place in
+the grid and the pixel there, not to the lens.
 
-Rows of interpolation are nearest, bilinear and cubic samples of one band. ``source`` is the frame laid flat,
-its pixels ``side`` and its rows ``below`` apart; ``out`` the grid, this row from ``row`` on; its places in
-the frame are `Pixels`. Offsets are unsigned: numba then does not ask at every access whether they are
-negative. Nothing is sliced, which would count references in every row.
+Samples are nearest, bilinear and cubic ones of one band. ``source`` is the flattened frame, its pixels
+``side`` and its rows ``below`` apart; ``out`` the grid, with this row from ``row`` on; its places in the
+frame are `Pixels`. Offsets are unsigned: numba then omits the test for negative ones. Nothing is sliced,
+which would count references in every row.
 """
 
 from typing import NamedTuple
@@ -28,9 +28,9 @@ class Pixels(NamedTuple):
     Parameters
     ----------
     at
-        Offset of each place's upper left (or nearest) pixel in the frame laid flat.
+        Offset of each place's upper left (or nearest) pixel in the flattened frame.
     down, right
-        What is left of the place, NaN off the frame. [pixel]
+        Fraction of a pixel, NaN off the frame. [pixel]
     """
 
     at: Int[Array, "x"]
@@ -39,7 +39,7 @@ class Pixels(NamedTuple):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def nearest_row(source, band, side, pixels, first, last, out, row):
+def sample_nearest(source, band, side, pixels, first, last, out, row):
     """Values of the nearest pixels."""
     at, down = pixels.at, pixels.down
     for j in range(np.uintp(first), np.uintp(last)):
@@ -48,7 +48,7 @@ def nearest_row(source, band, side, pixels, first, last, out, row):
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
-def bilinear_row(source, band, side, below, pixels, first, last, out, row):
+def sample_bilinear(source, band, side, below, pixels, first, last, out, row):
     """Bilinear values; beside missing pixels, the mean of the others by their weights."""
     at, down, right = pixels.at, pixels.down, pixels.right
     for j in range(np.uintp(first), np.uintp(last)):
@@ -62,7 +62,7 @@ def bilinear_row(source, band, side, below, pixels, first, last, out, row):
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
-def cubic_row(source, band, side, below, pixels, window, weights, first, last, out, row):
+def sample_cubic(source, band, side, below, pixels, window, weights, first, last, out, row):
     """Cubic convolution by `cubic_weights`; bilinear beside missing pixels."""
     at, down, right = pixels.at, pixels.down, pixels.right
     s1, s2, s3 = side, side + side, side + side + side
@@ -134,7 +134,7 @@ NEAREST, BILINEAR, CUBIC = 0, 1, 2
 
 
 class Collinearity(NamedTuple):
-    """Collinearity with all that is large in it taken out.
+    """Collinearity relative to a place in the grid.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class Collinearity(NamedTuple):
         A place, the principal row and column and the focal length. [m, m, m, pixel, pixel, pixel]
     linear
         The distance ahead of the lens [m] and that times row and column, these less those of the place
-        [m pixel], as linear functions of what a cell lies east, north and up of the place: value there and
+        [m pixel], as linear functions of a cell's offset east, north and up of the place: value there and
         slopes. Last the place's row and column, or the principal ones if it is not before the lens. [pixel]
     distortion
         The lens's coefficients; empty without.
@@ -154,7 +154,7 @@ class Collinearity(NamedTuple):
 
 
 class CellPlaces(NamedTuple):
-    """Where each cell of a grid lies; see `rectify.GridCells`."""
+    """Places of the cells of a grid; see `rectify.GridCells`."""
 
     east: Float[Array, "a b"]
     north: Float[Array, "c d"]
@@ -165,26 +165,15 @@ class CellPlaces(NamedTuple):
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def sample(
-    start,
-    stop,
-    source,
-    size,
-    collinearity,
-    places,
-    method,
-    to_meridian,
-    polarized,
-    dolp_floor,
-    out,
-    dolp,
+    start, stop, source, size, collinearity, places, method, to_meridian, polarized, dolp_floor, out, dolp
 ):
     """Rows of the grid; NaN behind the lens and off the frame.
 
-    ``source`` is the frame laid flat, row by row and band by band, and ``out`` the grid likewise. ``size`` is
+    ``source`` is the flattened frame, row by row and band by band, and ``out`` the grid likewise. ``size`` is
     the frame's rows, columns and bands, and the grid's columns. ``collinearity`` is a `Collinearity`,
-    ``places`` are `CellPlaces`. ``polarized`` is how many components each band's Stokes vectors have that are
-    to be turned, 0 for none, and ``to_meridian`` the lens's place from the origin and the axis that they
-    count from. ``dolp`` is empty where it is not asked for.
+    ``places`` are `CellPlaces`. ``polarized`` is the number of components of each band's Stokes vectors to
+    rotate, 0 for none, and ``to_meridian`` the lens's place from the origin and their reference axis.
+    ``dolp`` is empty where it is not needed.
     """
     origin, height, node_row = collinearity.origin, places.height, places.node_row
     count, side, below = size[3], np.uintp(size[2]), np.uintp(size[1] * size[2])
@@ -207,21 +196,21 @@ def sample(
         if collinearity.distortion.size > 0:
             _distort(down, right, origin, collinearity.distortion)
         if method == NEAREST:
-            _nearest_pixels(down, right, size, at)
+            _round_to_pixels(down, right, size, at)
         else:
             _pixels_above(down, right, size, at, above, left)
-        first, last = _seen(down)
+        first, last = _range_on_frame(down)
         _leave_empty(out, row, row + first * side)
         _leave_empty(out, row + last * side, row + count * side)
         if method == CUBIC:
             cubic_weights(size, above, left, down, right, window, weights)
         for band in range(side):  # one after the other: a loop over the few bands of each cell is slower
             if method == NEAREST:
-                nearest_row(source, band, side, pixels, first, last, out, row)
+                sample_nearest(source, band, side, pixels, first, last, out, row)
             elif method == BILINEAR:
-                bilinear_row(source, band, side, below, pixels, first, last, out, row)
+                sample_bilinear(source, band, side, below, pixels, first, last, out, row)
             else:
-                cubic_row(source, band, side, below, pixels, window, weights, first, last, out, row)
+                sample_cubic(source, band, side, below, pixels, window, weights, first, last, out, row)
         if polarized > 0:
             _turn_row(x, y, z, to_meridian, side, np.uintp(polarized), first, last, out, row)
         if dolp.size > 0:
@@ -230,7 +219,7 @@ def sample(
 
 @nb.njit(cache=True, error_model="numpy")
 def _across(i, values, origin, to):
-    """A row of an array, from the origin; an array of one row or column repeats. [m]"""
+    """Copy a row of an array, less the origin; an array of one row or column repeats. [m]"""
     i = np.uintp(i if values.shape[0] > 1 else 0)
     if values.shape[1] == 1:
         value = np.float32(values[i, 0] - origin)
@@ -256,7 +245,7 @@ def _over_nodes(height, node_row, node, share, origin, nodes, z):
 
 @nb.njit(cache=True)
 def _between(node_column, count):
-    """The node to the left of each cell, and what is left of its place."""
+    """Node to the left of each cell, and its fraction of a node."""
     node, share = np.empty(len(node_column), np.intp), np.empty(len(node_column), np.float32)
     for j in range(len(node)):
         node[j] = min(int(node_column[j]), count - 2)
@@ -286,7 +275,7 @@ def _four(values):
 
 @nb.njit(cache=True, error_model="numpy")
 def _distort(row, column, origin, coefficients):
-    """Places as a lens bends them (`distortion.distort`); ``origin`` ends in its axis and focal length."""
+    """Distort places by the lens (`distortion.distort`); ``origin`` ends in its axis and focal length."""
     middle_r, middle_c, k = origin[3], origin[4], origin[5]
     for j in range(len(row)):
         across, down = distort((column[j] - middle_c) / k, (row[j] - middle_r) / k, coefficients)
@@ -310,8 +299,8 @@ def _pixels_above(down, right, size, at, above, left):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _nearest_pixels(down, right, size, at):
-    """The pixel of each place; ``down`` becomes NaN off the frame."""
+def _round_to_pixels(down, right, size, at):
+    """Nearest pixel of each place; ``down`` becomes NaN off the frame."""
     half, zero, none = np.float32(0.5), np.float32(0.0), np.float32(np.nan)
     last_r, last_c, step, side = np.float32(size[0] - 1), np.float32(size[1] - 1), size[1] * size[2], size[2]
     for j in range(len(at)):
@@ -323,8 +312,8 @@ def _nearest_pixels(down, right, size, at):
 
 
 @nb.njit(cache=True)
-def _seen(down):
-    """First cell on the frame, and the one behind the last."""
+def _range_on_frame(down):
+    """First cell on the frame, and the one after the last."""
     first, last = 0, len(down)
     while first < last and np.isnan(down[first]):
         first += 1

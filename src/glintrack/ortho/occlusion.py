@@ -1,4 +1,4 @@
-"""Occlusion masks of the ground: cells whose line to the lens meets the surface model."""
+"""Occlusion masks of the ground: cells with a line to the lens that meets the surface model."""
 
 import numba as nb
 import numpy as np
@@ -21,18 +21,18 @@ def occlusion_mask(
     height: Float[Array, "y x"],
     clearance_m: float = CLEARANCE_M,
 ) -> Bool[Array, "y x"]:
-    """Whether each place is behind, or under, something of the surface model.
+    """Mask of places behind, or under, the surface model.
 
     Parameters
     ----------
     surface
         Schema ``terrain``, its heights those of roofs and crowns; evenly spaced. [m]
     pose
-        Where the lens is.
+        Pose of the camera.
     east, north, height
         The places: of the ground under the surface model, or on it. [m]
     clearance_m
-        A surface that stands over the line of sight by less hides nothing. [m]
+        A surface above the line of sight by less hides nothing. [m]
 
     Returns
     -------
@@ -53,19 +53,9 @@ def occlusion_mask(
     shape = np.broadcast_shapes(np.shape(east), np.shape(north), np.shape(height))
     east, north, height = (np.broadcast_to(a, shape) for a in (east, north, height))
     out = np.zeros(height.shape, np.bool_)
-    over_rows(
-        _march,
-        len(out),
-        values,
-        np.array([x[0], y[0], step_x, step_y]),
-        pose.position,
-        east,
-        north,
-        height,
-        clearance_m,
-        float(values.max()),
-        out,
-    )
+    frame, highest = np.array([x[0], y[0], step_x, step_y]), float(values.max())
+    ground = east, north, height
+    over_rows(_march, len(out), values, frame, pose.position, *ground, clearance_m, highest, out)
     return out
 
 

@@ -1,8 +1,8 @@
 """Rectify detector frames to a fixed ground grid by collinearity with the *reported* pose, and register them.
 
-The ground grid is swept, each cell is given the terrain's height and projected into the frame, Eqs. (4)–(6)
-of Presnar et al. (2010). Stokes vectors leave in the ``meridian`` frame, so that the angle of polarization
-does not turn with the aircraft.
+Each cell of the ground grid, with the terrain's height, is projected into the frame, Eqs. (4)–(6) of Presnar
+et al. (2010). Stokes vectors of the result are in the ``meridian`` frame, so that the angle of polarization
+does not rotate with the aircraft.
 """
 
 import math
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from scipy.ndimage import shift as shifted
+from scipy.ndimage import shift
 
 from glintrack.camera import Camera, Pose, ground_points, rotation
 from glintrack.core.arrays import Array
@@ -23,13 +23,13 @@ from glintrack.ortho.grid import ground_grid
 from glintrack.ortho.image_shift import displacement_between
 from glintrack.ortho.occlusion import occlusion_mask
 
-_NOWHERE = np.zeros(0)
-_LOOKED_AT = 16  # heights along each axis; they only say where rounding is least
+_EMPTY = np.zeros(0)
+_HEIGHT_SAMPLES = 16  # heights along each axis; they choose the place with the least rounding
 
 
 @dataclass(frozen=True)
 class GridCells:
-    """Where each cell of a grid lies.
+    """Places of the cells of a grid.
 
     Parameters
     ----------
@@ -56,16 +56,16 @@ class GridCells:
         return rows, columns
 
     @property
-    def level_m(self) -> float:
-        """A height amid those of the cells. [m]"""
-        steps = tuple(max(n // _LOOKED_AT, 1) for n in self.height.shape)
+    def middle_height_m(self) -> float:
+        """A height in the middle of those of the cells. [m]"""
+        steps = tuple(max(n // _HEIGHT_SAMPLES, 1) for n in self.height.shape)
         heights = self.height[:: steps[0], :: steps[1]]
         heights = heights[np.isfinite(heights)]
         return float(0.5 * (heights.min() + heights.max())) if heights.size else 0.0
 
-    def nearest_to(self, place: Float[Array, "3"]) -> Float[Array, "3"]:
-        """A place among the cells, near another as far as corners allow; amid them if that is NaN. [m]"""
-        found = [*place[:2], self.level_m]
+    def clip(self, place: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Clip a place to the grid's corners; the middle of the grid if it is NaN. [m]"""
+        found = [*place[:2], self.middle_height_m]
         for axis, values in enumerate((self.east, self.north)):
             ends = sorted((float(values[0, 0]), float(values[-1, -1])))
             found[axis] = (
@@ -75,7 +75,7 @@ class GridCells:
 
     @classmethod
     def of(cls, east: Array, north: Array, height: Array) -> "GridCells":
-        """Cells by arrays, or numbers, that broadcast to two axes; what only repeats is kept once."""
+        """Build cells from arrays, or numbers, that broadcast to two axes; store repeated values once."""
         shape = np.broadcast_shapes((1, 1), np.shape(east), np.shape(north), np.shape(height))
         east, north, height = (
             np.broadcast_to(np.asarray(a, dtype=float), shape) for a in (east, north, height)
@@ -83,11 +83,11 @@ class GridCells:
         if east.strides[0] == 0 and north.strides[1] == 0:
             east, north = east[:1].copy(), north[:, :1].copy()
         height = height[:1, :1].copy() if height.strides == (0, 0) else np.ascontiguousarray(height)
-        return cls(np.ascontiguousarray(east), np.ascontiguousarray(north), height, _NOWHERE, _NOWHERE)
+        return cls(np.ascontiguousarray(east), np.ascontiguousarray(north), height, _EMPTY, _EMPTY)
 
     @classmethod
     def over(cls, terrain: xr.Dataset, x: Float[Array, "x"], y: Float[Array, "y"]) -> "GridCells":
-        """An even grid over a dataset of schema ``terrain``: bilinear heights, held beyond its edges."""
+        """Build an even grid over a dataset of schema ``terrain``: bilinear heights, constant outside."""
         nodes = check(terrain, "terrain")["height"].values.astype(float)
         if np.ptp(nodes) == 0:
             return cls.of(x[None], y[:, None], nodes[0, 0])
@@ -98,49 +98,38 @@ class GridCells:
         return cls(x[None].copy(), y[:, None].copy(), nodes, row, column)
 
 
-WORTH_PX = 0.02  # a smaller displacement changes less than the interpolation does
+MIN_SHIFT_PX = 0.02  # a smaller displacement changes less than the interpolation does
 
 
-def register(image: xr.Dataset, reference: xr.Dataset, most_px: float = 16.0) -> xr.Dataset:
-    """Move a rectified frame to where its panchromatic content lies in the reference.
+def register(image: xr.Dataset, reference: xr.Dataset, max_px: float = 16.0) -> xr.Dataset:
+    """Shift a rectified frame so that its panchromatic content agrees with the reference.
 
     Parameters
     ----------
     image, reference
         Schema ``image`` on one grid.
-    most_px
-        Larger displacements are not looked for. [pixel]
+    max_px
+        Largest displacement of the search. [pixel]
 
     Returns
     -------
-    The frame moved by bilinear interpolation, with attributes ``registration_rows`` and
-    ``registration_columns``: the displacement taken out; nought where none stood out. [pixel]
+    The frame shifted by bilinear interpolation, with attributes ``registration_rows`` and
+    ``registration_columns``: the corrected displacement; 0 where no peak is significant. [pixel]
     """
     check(image, "image")
     check(reference, "image")
-    rows, columns, clearness = displacement_between(image["pan"].values, reference["pan"].values, most_px)
-    found = math.isfinite(rows)
-    taken = {
-        "registration_rows": rows if found else 0.0,
-        "registration_columns": columns if found else 0.0,
-        "registration_clearness": clearness,
-    }
-    if not found or math.hypot(rows, columns) < WORTH_PX:
-        return image.assign_attrs(taken)
-    moved = {
-        name: image[name].copy(
-            data=shifted(
-                image[name].values,
-                (-rows, -columns) + (0,) * (image[name].ndim - 2),
-                order=1,
-                mode="constant",
-                cval=np.nan,
-                prefilter=False,
-            )
-        )
-        for name in ("pan", "stokes_radiance", "dolp")
-    }
-    return check(image.assign(moved).assign_attrs(taken), "image")
+    rows, columns, clearness = displacement_between(image["pan"].values, reference["pan"].values, max_px)
+    if not math.isfinite(rows):
+        rows = columns = 0.0
+    attrs = {"registration_rows": rows, "registration_columns": columns, "registration_clearness": clearness}
+    if math.hypot(rows, columns) < MIN_SHIFT_PX:
+        return image.assign_attrs(attrs)
+    moved = {}
+    for name in ("pan", "stokes_radiance", "dolp"):
+        by = (-rows, -columns) + (0,) * (image[name].ndim - 2)
+        values = shift(image[name].values, by, order=1, mode="constant", cval=np.nan, prefilter=False)
+        moved[name] = image[name].copy(data=values)
+    return check(image.assign(moved).assign_attrs(attrs), "image")
 
 
 _NONE = np.empty((0, 0), np.float32)
@@ -165,7 +154,7 @@ def orthorectify(
         Schema ``frame``: superpixels, with y and x in elements. DoLP is masked where S0 is at or below its
         attribute ``dolp_floor``. [W m⁻² sr⁻¹ µm⁻¹]
     camera, reported_pose
-        The frame camera and where the navigator says it was.
+        The frame camera and the navigator's pose.
     terrain
         Schema ``terrain``.
     gsd_m
@@ -187,41 +176,26 @@ def orthorectify(
         If the grid is empty or the method unknown.
     """
     check(frame, "frame")
-    _known(method)
     x, y = ground_grid(area_m, gsd_m)
-    floor = float(frame.attrs.get("dolp_floor", 0.0))
-    pan, stokes, dolp = _rectify_frame(
-        frame, camera, reported_pose, GridCells.over(terrain, x, y), method, floor
-    )
-    coords = {
-        "y": ("y", y, {"units": "m"}),
-        "x": ("x", x, {"units": "m"}),
-        "stokes": ["I", "Q", "U"],
-    }
+    cells, floor = GridCells.over(terrain, x, y), float(frame.attrs.get("dolp_floor", 0.0))
+    pan, stokes, dolp = _rectify_frame(frame, camera, reported_pose, cells, method, floor)
+    stokes_attrs = {"units": RADIANCE, "stokes_frame": "meridian"}
     image = xr.Dataset(
         {
             "pan": (("y", "x"), pan, {"units": RADIANCE}),
-            "stokes_radiance": (
-                ("y", "x", "stokes"),
-                stokes,
-                {"units": RADIANCE, "stokes_frame": "meridian"},
-            ),
+            "stokes_radiance": (("y", "x", "stokes"), stokes, stokes_attrs),
             "dolp": (("y", "x"), dolp, {"units": "1"}),
         },
-        coords=coords,
+        coords={n: (n, values, {"units": "m"}) for n, values in (("y", y), ("x", x))}
+        | {"stokes": ["I", "Q", "U"]},
         attrs={**frame.attrs, "gsd_m": gsd_m},
     )
     if surface is not None:
         height = height_at(check(terrain, "terrain"), x[None], y[:, None])
-        image = _without_occluded(image, occlusion_mask(surface, reported_pose, x[None], y[:, None], height))
+        occluded = occlusion_mask(surface, reported_pose, x[None], y[:, None], height)
+        image = image.where(xr.DataArray(~occluded, dims=("y", "x")))
+        image["occluded"] = (("y", "x"), occluded.astype(np.int8), {"units": "1"})
     return check(image, "image")
-
-
-def _without_occluded(image: xr.Dataset, occluded: Array) -> xr.Dataset:
-    seen = xr.DataArray(~occluded, dims=("y", "x"))
-    masked = {str(name): image[name].where(seen) for name in ("pan", "stokes_radiance", "dolp")}
-    flag = ("occluded", (("y", "x"), occluded.astype(np.int8), {"units": "1"}))
-    return image.assign({**masked, flag[0]: flag[1]})
 
 
 def rectify_frame(
@@ -235,7 +209,6 @@ def rectify_frame(
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x stokes"]]:
     """Pan and Stokes vectors, in the ``meridian`` frame, of a frame at any places; see `rectify_onto`."""
     check(frame, "frame")
-    _known(method)
     return _rectify_frame(frame, camera, reported_pose, GridCells.of(east, north, height), method, 0.0)[:2]
 
 
@@ -247,13 +220,13 @@ def _rectify_frame(
     dolp = np.empty(cells.shape, np.float32)
     for name in ("pan", "stokes_radiance"):
         values, where = frame[name].values, frame[name].attrs
-        first = (
-            float(frame["y"][0]) + float(where.get("row_offset", 0.0)),
-            float(frame["x"][0]) + float(where.get("column_offset", 0.0)),
-        )
-        turned = values.shape[-1] if where.get("stokes_frame") == "detector" else 0
+        offsets = float(where.get("row_offset", 0.0)), float(where.get("column_offset", 0.0))
+        first = float(frame["y"][0]) + offsets[0], float(frame["x"][0]) + offsets[1]
+        components = values.shape[-1] if where.get("stokes_frame") == "detector" else 0
         degree = dolp if name == "stokes_radiance" else _NONE
-        found[name] = _sweep(values, camera, pose, cells, method, first, pitch, turned, dolp_floor, degree)
+        found[name] = _sweep(
+            values, camera, pose, cells, method, first, pitch, components, dolp_floor, degree
+        )
     return found["pan"], found["stokes_radiance"], dolp
 
 
@@ -265,35 +238,20 @@ def rectify_array(
     gsd_m: float,
     area_m: tuple[float, float, float, float],
     method: str = "bilinear",
+    is_stokes: bool = False,
 ) -> Float[Array, "y x *band"]:
-    """Map any array of whole elements to the ground grid; arguments as `orthorectify`. NaN where no data."""
-    return _rectify_whole(values, camera, reported_pose, terrain, gsd_m, area_m, method, 0)
+    """Map any array of whole elements to the ground grid; arguments as `orthorectify`. NaN where no data.
 
-
-def _rectify_whole(values, camera, pose, terrain, gsd_m, area_m, method, polarized) -> Array:
-    _known(method)
+    ``is_stokes``: the last axis holds Stokes vectors in the ``detector`` frame, which are rotated to
+    ``meridian``.
+    """
     if values.shape[:2] != (camera.rows, camera.columns):
         raise ValueError(
             f"`values` must be {camera.rows} × {camera.columns} elements, got {values.shape[:2]}"
         )
     cells = GridCells.over(terrain, *ground_grid(area_m, gsd_m))
-    return _sweep(values, camera, pose, cells, method, (0.0, 0.0), 1.0, polarized)
-
-
-def rectify_stokes(
-    values: Float[Array, "row column channel stokes"],
-    camera: Camera,
-    pose: Pose,
-    terrain: xr.Dataset,
-    gsd_m: float,
-    area_m: tuple[float, float, float, float],
-    method: str = "bilinear",
-) -> Float[Array, "y x channel stokes"]:
-    """Map Stokes vectors of whole elements to the ground grid; arguments as `orthorectify`.
-
-    They come in the ``detector`` frame and leave in ``meridian``. NaN where no data.
-    """
-    return _rectify_whole(values, camera, pose, terrain, gsd_m, area_m, method, values.shape[-1])
+    components = values.shape[-1] if is_stokes else 0
+    return _sweep(values, camera, reported_pose, cells, method, (0.0, 0.0), 1.0, components)
 
 
 def rectify_onto(
@@ -314,7 +272,7 @@ def rectify_onto(
     values
         The frame, its pixels ``pitch`` elements apart.
     camera, reported_pose
-        The frame camera and where the navigator says it was.
+        The frame camera and the navigator's pose.
     east, north, height
         The places, ENU; NaN heights give NaN. [m]
     method
@@ -331,7 +289,6 @@ def rectify_onto(
     ValueError
         If the method is unknown or the frame has less than two pixels a side.
     """
-    _known(method)
     shape = np.broadcast_shapes(np.shape(east), np.shape(north), np.shape(height))
     cells = GridCells.of(east, north, height)
     out = _sweep(values, camera, reported_pose, cells, method, first, pitch, 0)
@@ -350,35 +307,29 @@ def _sweep(
     dolp_floor: float = 0.0,
     dolp: Array = _NONE,
 ) -> Array:
-    """Samples at every cell; ``polarized`` as `kernels.sample` takes it, which writes ``dolp``."""
+    """Sample values at every cell; ``polarized`` and ``dolp`` as in `kernels.sample`."""
+    if method not in METHODS:
+        raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}")
     if min(values.shape[:2]) < 2:
         raise ValueError(f"`values` must have two pixels a side at least, got {values.shape[:2]}")
     source = np.ascontiguousarray(values, np.float32).reshape(*values.shape[:2], -1)
     out = np.empty((*cells.shape, source.shape[2]), np.float32)
     centre = (camera.rows - 1) / 2, (camera.columns - 1) / 2
-    middle = cells.nearest_to(ground_points(camera, pose, centre, cells.level_m))
+    middle = cells.clip(ground_points(camera, pose, centre, cells.middle_height_m))
     collinearity = _collinearity(camera, pose, middle, first, pitch)
-    over_rows(
-        kernels.sample,
-        len(out),
-        source.ravel(),
-        (*source.shape, out.shape[1]),
-        collinearity,
-        kernels.CellPlaces(cells.east, cells.north, cells.height, cells.node_row, cells.node_column),
-        METHODS.index("bilinear" if method == "cubic" and min(values.shape[:2]) < 4 else method),
-        np.concatenate([pose.position - collinearity.origin[:3], rotation(pose)[0]]),
-        polarized,
-        dolp_floor,
-        out.ravel(),
-        dolp,
-    )
+    places = kernels.CellPlaces(cells.east, cells.north, cells.height, cells.node_row, cells.node_column)
+    number = METHODS.index("bilinear" if method == "cubic" and min(values.shape[:2]) < 4 else method)
+    to_meridian = np.concatenate([pose.position - collinearity.origin[:3], rotation(pose)[0]])
+    how = collinearity, places, number, to_meridian, polarized, dolp_floor
+    size = *source.shape, out.shape[1]
+    over_rows(kernels.sample, len(out), source.ravel(), size, *how, out.ravel(), dolp)
     return out.reshape(*cells.shape, *values.shape[2:])
 
 
 def _collinearity(
     camera: Camera, pose: Pose, middle: Array, first: tuple[float, float], pitch: float
 ) -> kernels.Collinearity:
-    """Collinearity as the kernel takes it, about a place amid the grid."""
+    """Collinearity for the kernel, about a place in the grid."""
     m, scale = rotation(pose), camera.focal_length_m / (camera.pitch_m * pitch)
     principal = [(p - f) / pitch for p, f in zip(camera.principal_point, first, strict=True)]
     delta = middle - pose.position
@@ -391,8 +342,3 @@ def _collinearity(
         slopes = direction - there * ahead
         linear[k] = [slopes @ delta, *slopes, centre + there]
     return kernels.Collinearity(np.array([*middle, *principal, scale]), linear, camera.bending)
-
-
-def _known(method: str) -> None:
-    if method not in METHODS:
-        raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}")

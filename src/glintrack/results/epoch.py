@@ -15,7 +15,7 @@ from glintrack import metrics, track
 from glintrack.camera import Camera, Pose
 from glintrack.core.arrays import Array
 from glintrack.core.records import Radiance, ServedQueries
-from glintrack.ortho import seen_ground
+from glintrack.ortho import intersect_terrain
 from glintrack.render import Hits, Observer, Outlines, Sky, outlines, vehicle_mask, visible_fraction
 from glintrack.scene import VEHICLE_CLASSES, City, Snapshot
 from glintrack.sensor import Sensor, light_on_elements, smear
@@ -168,7 +168,9 @@ def vehicle_boxes(frame: SceneView) -> xr.Dataset:
     visibility[parked] = still
     ground = np.empty((0, 4))
     if len(seen.instance):  # the vertices where their images lie on the terrain
-        place = seen_ground(observer.city.terrain, observer.camera, frame.reported_pose, seen.pixel)[:, :2]
+        place = intersect_terrain(observer.city.terrain, observer.camera, frame.reported_pose, seen.pixel)[
+            :, :2
+        ]
         ends = [bound.reduceat(place, seen.first[:-1]) for bound in (np.minimum, np.maximum)]
         ground = np.concatenate(ends, axis=1)
     classes = [VEHICLE_CLASSES[k] for k in np.asarray(snapshot.model)[seen.instance]]

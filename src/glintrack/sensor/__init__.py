@@ -1,9 +1,9 @@
 """The adaptive sensor: superpixels, lens, noise, spectra on request, and a navigator that errs."""
 
 from glintrack.sensor.demosaicking import boost, demosaic
-from glintrack.sensor.design import OpticsDesign, SensorDesign, ready_design, ready_designs
+from glintrack.sensor.design import OpticsDesign, SensorDesign, design_keys, design_names
 from glintrack.sensor.exposure import (
-    depolarized,
+    depolarize,
     detector_readout,
     expose,
     frame_of,
@@ -31,7 +31,6 @@ from glintrack.sensor.response import response_curves
 from glintrack.sensor.sensor import (
     Sensor,
     build_sensor,
-    dark_noise_e,
     noise_equivalent_radiance,
 )
 from glintrack.sensor.spectrometer import fill_dark_mirrors, measure_spectra, noiseless_spectra, serve
@@ -48,9 +47,10 @@ __all__ = [
     "SensorDesign",
     "boost",
     "build_sensor",
-    "dark_noise_e",
     "demosaic",
-    "depolarized",
+    "depolarize",
+    "design_keys",
+    "design_names",
     "detector_readout",
     "expose",
     "fill_dark_mirrors",
@@ -75,8 +75,6 @@ __all__ = [
     "read_analysers",
     "read_lens",
     "read_out",
-    "ready_design",
-    "ready_designs",
     "response_curves",
     "serve",
     "smear",

@@ -14,6 +14,7 @@ from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, Band
 from glintrack.io.untrusted import resolve_path
 from glintrack.sensor.layouts import MIRROR, Demosaicker, Superpixel, check_demosaicker, places, superpixel
 
+_FOLDER = resources.files("glintrack") / "data" / "sensors"
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
 Rms = Annotated[float, Field(ge=-1e4, le=1e4)]
 Wavelength = Annotated[
@@ -31,33 +32,23 @@ class OpticsDesign(Design):
 
     obscuration: float = Field(default=0.0, ge=0, le=1, description="Diameter of the blocked centre")
     defocus_um: float = Field(default=0.0, ge=-5000, le=5000, description="Detector behind best focus")
-    zernike_rms_nm: dict[int, Rms] = Field(
-        default={}, description="Noll's index (4 defocus, 5-6 astigmatism, 7-8 coma, 11 spherical) to RMS"
-    )
+    zernike_rms_nm: dict[int, Rms] = Field(default={})
+    """Noll's index (4 defocus, 5-6 astigmatism, 7-8 coma, 11 spherical) to RMS."""
     scatter_fraction: float = Field(default=0.0, ge=0, lt=1, description="Light scattered into the wings")
-    scatter_shoulder_mrad: float = Field(
-        default=2.0, gt=0, le=1000, description="ABg's shoulder angle, B to the power 1/g"
-    )
-    relative_illumination: Literal["cos4", "even"] = Field(
-        default="cos4",
-        description="Fall-off of light over the field; calibration takes it out, not its noise",
-    )
-    lens: str = Field(
-        default="",
-        description="Prescription (`glintrack sensor lens`) by name or file: sets wavefront, distortion and "
-        "vignetting by its rays (extra `optics`)",
-    )
-    field_zernikes_rms_nm: tuple[tuple[dict[int, Rms], ...], ...] = Field(
-        default=(), description="As zernike_rms_nm, added to it: a matrix of places evenly over the frame"
-    )
+    relative_illumination: Literal["cos4", "even"] = "cos4"
+    """Fall-off of light over the field; calibration takes it out, not its noise."""
+    lens: str = ""
+    """Prescription (`glintrack sensor lens`) by name or file: sets wavefront, distortion and vignetting by
+    its rays (extra `optics`)."""
+    field_zernikes_rms_nm: tuple[tuple[dict[int, Rms], ...], ...] = ()
+    """As zernike_rms_nm, added to it: a matrix of places evenly over the frame."""
     distortion: Distortion = Distortion()
     vignetting: float = Field(default=0.0, ge=0, lt=1, description="Further light lost in the corner")
-    depolarizer: bool = Field(
-        default=False, description="Perfect, before the lens: the control for what polarization is worth"
-    )
+    depolarizer: bool = False
+    """Perfect, before the lens: the control for what polarization is worth."""
 
     @model_validator(mode="after")
-    def _some_light_and_known_terms(self) -> Self:
+    def _check_light_and_terms(self) -> Self:
         if self.obscuration >= 1:
             raise ValueError(
                 f"`sensor.optics.obscuration` must leave part of the pupil open, got {self.obscuration}"
@@ -81,7 +72,7 @@ class OpticsDesign(Design):
 
 
 class PolarizerSpread(Design):
-    """Differences between polarizers of one kind that calibration leaves; ``[sensor.polarizer_spread]``.
+    """Uncalibrated differences between polarizers of one kind; ``[sensor.polarizer_spread]``.
 
     Each element under a polarizer has its own, normally distributed.
     """
@@ -97,14 +88,12 @@ class PolarizerSpread(Design):
 class AutoExposure(Design):
     """Exposure that follows the light from frame to frame; the ``[sensor.auto_exposure]`` table.
 
-    The first frame has ``integration_time_ms``; each later one what would have brought a quantile of the
-    elements of the frame before to a share of the full well.
+    The first frame has ``integration_time_ms``. Each later exposure would have brought a quantile of the
+    previous frame's elements to a fixed share of the full well.
     """
 
-    quantile: float = Field(
-        default=0.0, ge=0, lt=1, description="Of a frame's elements; 0: every frame has integration_time_ms"
-    )
-    full_share: float = Field(default=0.8, gt=0, le=1, description="Of the full well, where it is held")
+    quantile: float = Field(default=0.0, ge=0, lt=1)
+    """Of a frame's elements; 0: every frame has integration_time_ms."""
     longest_ms: float = Field(default=1.0, gt=0, le=1000, description="Greatest exposure")
 
 
@@ -118,131 +107,80 @@ class SensorDesign(Design):
     focal_length_mm: float = Field(default=68.0, gt=0, le=5000, description="Principal distance")
     f_number: float = Field(default=5.6, ge=0.5, le=64, description="Focal ratio")
     optics: OpticsDesign = OpticsDesign()
-    spot_sigma_um: float = Field(
-        default=12.0,
-        ge=0,
-        le=200,
-        description="RMS radius along an axis of the lens's further aberrations, a Gaussian spot",
-    )
-    optics_transmission: float = Field(
-        default=0.85, gt=0, le=1, description="Light that the lens lets through"
-    )
-    pitch_um: float = Field(
-        default=17.0, ge=1, le=100, description="Spacing of the elements (Table 1: 17, 10.8, 8.5)"
-    )
+    spot_sigma_um: float = Field(default=12.0, ge=0, le=200)
+    """RMS radius along an axis of the lens's further aberrations, a Gaussian spot."""
+    optics_transmission: float = Field(default=0.85, gt=0, le=1)
+    """Light that the lens lets through."""
+    pitch_um: float = Field(default=17.0, ge=1, le=100)
+    """Spacing of the elements (Table 1: 17, 10.8, 8.5)."""
     fill_factor: float = Field(default=1.0, gt=0, le=1, description="Area of an element that collects light")
     rows: int = Field(default=560, ge=4, le=8192, description="Elements down the array")
     columns: int = Field(default=880, ge=4, le=8192, description="Elements across the array")
-    layout: str | tuple[tuple[Angle | str, ...], ...] = Field(
-        default="mirror-0-60-120",
-        description="Superpixel: mirror-0-60-120, 0-45-90-135, pan, mirror, or rows of 'mirror', 'open', "
-        "angles [deg]",
-    )
-    polarizer: str = Field(
-        default="grid_b",
-        description="ideal, constant, grid_a, grid_b, grid_a_physical, grid_b_physical, or a NetCDF file",
-    )
-    polarizer_transmittance: float = Field(
-        default=1.0, gt=0, le=1, description="Of the pass axis, where the polarizer is 'constant'"
-    )
-    polarizer_extinction_ratio: float = Field(
-        default=1e6,
-        ge=1,
-        le=1e12,
-        description="Pass over block transmittance, where the polarizer is 'constant'",
-    )
-    polarizer_incidence: Literal["normal", "chief_ray"] = Field(
-        default="normal",
-        description="Of light on the polarizers: normal (a telecentric lens), or by each element's chief ray",
-    )
+    layout: str | tuple[tuple[Angle | str, ...], ...] = "mirror-0-60-120"
+    """Superpixel: mirror-0-60-120, 0-45-90-135, pan, mirror, or rows of 'mirror', 'open', angles [deg]."""
+    polarizer: str = "grid_b"
+    """ideal, constant, grid_a, grid_b, grid_a_physical, grid_b_physical, or a NetCDF file."""
+    polarizer_transmittance: float = Field(default=1.0, gt=0, le=1)
+    """Of the pass axis, where the polarizer is 'constant'."""
+    polarizer_extinction_ratio: float = Field(default=1e6, ge=1, le=1e12)
+    """Pass over block transmittance, where the polarizer is 'constant'."""
+    polarizer_incidence: Literal["normal", "chief_ray"] = "normal"
+    """Of light on the polarizers: normal (a telecentric lens), or by each element's chief ray."""
     polarizer_spread: PolarizerSpread = PolarizerSpread()
-    stokes: Literal["measured", "fesenkov"] = Field(
-        default="measured",
-        description="Invert the polarizers' measured responses, or take them for ideal (Fesenkov)",
-    )
-    reference_spectrum: str = Field(
-        default="flat",
-        description="Light the responses were measured in: flat, am15g, or a CSV (wavelength_um, radiance)",
-    )
-    demosaic: Demosaicker = Field(
-        default="eari", description="How the polarizer elements come to one place before Stokes is formed"
-    )
+    stokes: Literal["measured", "fesenkov"] = "measured"
+    """Invert the polarizers' measured responses, or take them for ideal (Fesenkov)."""
+    reference_spectrum: str = "flat"
+    """Light the responses were measured in: flat, am15g, or a CSV (wavelength_um, radiance)."""
+    demosaic: Demosaicker = "eari"
+    """How the polarizer elements come to one place before Stokes is formed."""
     band_um: tuple[Wavelength, Wavelength] = Field(default=(0.4, 1.0), description="Panchromatic band")
-    response: str | None = Field(
-        default=None, description="CSV file (wavelength_um, response) that multiplies the band's filter"
-    )
-    quantum_efficiency: Share | str = Field(
-        default=0.6, description="Over the whole band, or silicon, or a CSV file (wavelength_um, efficiency)"
-    )
+    response: str | None = None
+    """CSV file (wavelength_um, response) that multiplies the band's filter."""
+    quantum_efficiency: Share | str = 0.6
+    """Over the whole band, or silicon, or a CSV file (wavelength_um, efficiency)."""
     integration_time_ms: float = Field(default=0.085, gt=0, le=1000, description="Exposure of a frame")
     auto_exposure: AutoExposure = AutoExposure()
     clock_hz: float = Field(default=10.0, gt=0, le=1e4, description="Highest frame rate (Table 1: 2 and 10)")
-    full_well_e: float = Field(
-        default=267e3,
-        gt=0,
-        le=1e12,
-        description="Electrons an element can hold; the default is the IMX250MZR's per area on 17 µm",
-    )
-    gain_e_per_count: float | None = Field(
-        default=None, gt=0, le=1e9, description="Electrons a count; the full well over all counts if left out"
-    )
+    full_well_e: float = Field(default=267e3, gt=0, le=1e12)
+    """Electrons an element can hold; the default is the IMX250MZR's per area on 17 µm."""
+    gain_e_per_count: float | None = Field(default=None, gt=0, le=1e9)
+    """Electrons a count; the full well over all counts if left out."""
     bits: int = Field(default=14, ge=1, le=24, description="Of the quantizer")
     read_noise_e: float = Field(default=20.0, ge=0, le=1e6, description="RMS electrons a read")
     dark_current_e_per_s: float = Field(default=0.0, ge=0, le=1e9, description="Mean over the elements")
     prnu: float = Field(default=0.0, ge=0, le=0.5, description="RMS of the elements' relative gains")
-    dsnu_e: float = Field(
-        default=0.0, ge=0, le=1e6, description="RMS of the elements' dark offsets, electrons"
-    )
-    oversampling: int = Field(
-        default=3,
-        ge=1,
-        le=5,
-        description="Rays along each side of an element",
-    )
-    sun_samples: int = Field(
-        default=1,
-        ge=1,
-        le=64,
-        description="Rays from each point to the sun's disc; 1 goes to its centre, and shadows are sharp",
-    )
-    spectrometer: Literal["relay", "etalon"] = Field(
-        default="relay",
-        description="The mirrors feed a grating spectrometer, or are tunable etalons themselves",
-    )
-    spectrometer_um: tuple[Wavelength, Wavelength] = Field(
-        default=(0.4, 1.0), description="Range of the spectrometer"
-    )
-    spectrometer_bandwidth_um: float = Field(
-        default=0.01, ge=0.01, le=0.1, description="Of each of its bands"
-    )
-    spectrometer_integration_time_ms: float = Field(
-        default=10.0, gt=0, le=1000, description="Exposure of a spectrum"
-    )
-    mirror_settling_ms: float = Field(
-        default=0.0, ge=0, le=1000, description="Of a frame, before its exposures, while mirrors still move"
-    )
-    mirror_throughput: float = Field(
-        default=1.0, gt=0, le=1, description="Light into the spectrometer over light on the mirror"
-    )
-    fill_dark_mirrors: Literal["none", "spectrum", "interpolate", "polarizers"] = Field(
-        default="none",
-        description="Pan where a mirror was away: nothing, the served spectrum's integral, the mean of the "
-        "neighbours, or S0 of the same superpixel's polarizers",
-    )
+    dsnu_e: float = Field(default=0.0, ge=0, le=1e6)
+    """RMS of the elements' dark offsets, electrons."""
+    oversampling: int = Field(default=3, ge=1, le=5, description="Rays along each side of an element")
+    sun_samples: int = Field(default=1, ge=1, le=64)
+    """Rays from each point to the sun's disc; 1 goes to its centre, and shadows are sharp."""
+    spectrometer: Literal["relay", "etalon"] = "relay"
+    """The mirrors feed a grating spectrometer, or are tunable etalons themselves."""
+    spectrometer_um: tuple[Wavelength, Wavelength] = (0.4, 1.0)
+    """Range of the spectrometer."""
+    spectrometer_bandwidth_um: float = Field(default=0.01, ge=0.01, le=0.1)
+    """Of each of its bands."""
+    spectrometer_integration_time_ms: float = Field(default=10.0, gt=0, le=1000)
+    """Exposure of a spectrum."""
+    mirror_settling_ms: float = Field(default=0.0, ge=0, le=1000)
+    """Of a frame, before its exposures, while mirrors still move."""
+    fill_dark_mirrors: Literal["none", "spectrum", "interpolate", "polarizers"] = "none"
+    """Pan where a mirror was away: nothing, the served spectrum's integral, the mean of the neighbours, or S0
+    of the same superpixel's polarizers."""
 
     @model_validator(mode="before")
     @classmethod
     def _start_from_a_ready_design(cls, values: Any) -> Any:
         if not isinstance(values, dict) or not values.get("ready"):
             return values
-        base = ready_design(str(values["ready"]))
+        base = design_keys(str(values["ready"]))
         both = {**base, **values}
         if isinstance(base.get("optics"), dict) and isinstance(values.get("optics"), dict):
             both["optics"] = {**base["optics"], **values["optics"]}
         return both
 
     @model_validator(mode="after")
-    def _whole_superpixels_and_rising_bands(self) -> Self:
+    def _check_superpixels_and_bands(self) -> Self:
         side = len(self.superpixel)
         for name in ("rows", "columns"):
             if getattr(self, name) % side:
@@ -260,20 +198,20 @@ class SensorDesign(Design):
         return self
 
     @model_validator(mode="after")
-    def _time_enough(self) -> Self:
-        """A frame ends before the next begins; a spectrum that fills pan has to span its band."""
+    def _check_times_and_filling(self) -> Self:
+        """Check that exposures fit into a frame, and that dark mirrors can be filled."""
         frame_ms = 1e3 / self.clock_hz
-        for name in ("integration_time_ms", "spectrometer_integration_time_ms"):
-            if getattr(self, name) > frame_ms and (name == "integration_time_ms" or self.has_mirror):
+        times_ms = {
+            "integration_time_ms": self.integration_time_ms,
+            "spectrometer_integration_time_ms": self.has_mirror * self.spectrometer_integration_time_ms,
+            "auto_exposure.longest_ms": self.longest_integration_time_ms,
+        }
+        for name, time_ms in times_ms.items():
+            if time_ms > frame_ms:
                 raise ValueError(
                     f"`sensor.{name}` must end within a frame's {frame_ms:g} ms (see clock_hz), "
-                    f"got {getattr(self, name):g}"
+                    f"got {time_ms:g}"
                 )
-        if self.longest_integration_time_ms > frame_ms:
-            raise ValueError(
-                f"`sensor.auto_exposure.longest_ms` must end within a frame's {frame_ms:g} ms "
-                f"(see clock_hz), got {self.longest_integration_time_ms:g}"
-            )
         exposure_ms = max(self.longest_integration_time_ms, self.spectrometer_integration_time_ms)
         if self.has_mirror and self.mirror_settling_ms + exposure_ms > frame_ms:
             raise ValueError(
@@ -296,7 +234,7 @@ class SensorDesign(Design):
         return self
 
     def explicit_values(self) -> dict[str, Any]:
-        """The values that are neither left to their defaults nor the ready design's own."""
+        """Values that differ from the defaults and from the ready design."""
         values = super().explicit_values()
         if not self.ready:
             return values
@@ -305,29 +243,29 @@ class SensorDesign(Design):
 
     @property
     def superpixel(self) -> Superpixel:
-        """What stands over each element."""
+        """Polarizer, mirror or nothing over each element."""
         return superpixel(self.layout)
 
     @property
     def second_exposure_ends_ms(self) -> float:
-        """When spectra of a frame's own detections are there: after its exposure, mirrors and theirs. [ms]"""
+        """End of the second exposure (spectra of a frame's own detections) from the frame's start. [ms]"""
         longest_ms = self.longest_integration_time_ms
         return longest_ms + self.mirror_settling_ms + self.spectrometer_integration_time_ms
 
     @property
     def longest_integration_time_ms(self) -> float:
-        """Of any frame. [ms]"""
+        """Longest exposure of any frame. [ms]"""
         automatic = self.auto_exposure
         return automatic.longest_ms if automatic.quantile else self.integration_time_ms
 
     @property
     def has_mirror(self) -> bool:
-        """Whether queries can be served."""
+        """Return True if queries can be served."""
         return bool(places(self.superpixel, MIRROR))
 
     @property
     def has_stokes(self) -> bool:
-        """Whether there are polarizers."""
+        """Return True if there are polarizers."""
         return bool(places(self.superpixel, "polarizer"))
 
     @property
@@ -366,7 +304,7 @@ class SensorDesign(Design):
         return math.sqrt(dark_e + self.read_noise_e**2 + self.electrons_per_count**2 / 12)
 
     def located(self, folder: Path) -> "SensorDesign":
-        """The same design with relative file names taken from a folder."""
+        """Resolve relative file names against a folder."""
         found = {}
         for name in _FILES:
             value = getattr(self, name)
@@ -378,23 +316,19 @@ class SensorDesign(Design):
         return self.model_copy(update=found) if found else self
 
 
-def ready_designs() -> list[str]:
+def design_names() -> list[str]:
     """Names of the ready designs that come with the package."""
-    return sorted(p.name.removesuffix(".toml") for p in _folder().iterdir() if p.name.endswith(".toml"))
+    return sorted(p.name.removesuffix(".toml") for p in _FOLDER.iterdir() if p.name.endswith(".toml"))
 
 
-def ready_design(name: str) -> dict[str, Any]:
-    """Keys of a ready design; its file names the source of each figure.
+def design_keys(name: str) -> dict[str, Any]:
+    """Keys of a ready design; its file names the source of each value.
 
     Raises
     ------
     ValueError
         If there is none of that name.
     """
-    if name not in ready_designs():
-        raise ValueError(f"`sensor.ready` must be one of {', '.join(ready_designs())}, got {name!r}")
-    return tomllib.loads((_folder() / f"{name}.toml").read_text(encoding="utf-8"))
-
-
-def _folder():
-    return resources.files("glintrack") / "data" / "sensors"
+    if name not in design_names():
+        raise ValueError(f"`sensor.ready` must be one of {', '.join(design_names())}, got {name!r}")
+    return tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))

@@ -1,19 +1,17 @@
-"""Light on the elements to a frame: lens, detector, calibration back to radiance, Stokes.
+"""From light on the elements to a frame: lens, detector, calibration to radiance, Stokes vectors.
 
 Shot, dark and read noise, full well, gain, quantizer and fixed pattern follow the lens. The
-instantaneous-field-of-view error of the mosaic comes from the elements' different rays and nothing else.
-Blocks of rows have generators of their own, spawned from the frame's, so that a frame does not depend on how
-its blocks were spread over threads.
+instantaneous-field-of-view error of the mosaic comes only from the elements' different rays. Each block of
+rows has its own generator, spawned from the frame's, so that a frame does not depend on the threads.
 
-Automatic exposure holds a quantile q of the last frame's elements at a share of the full well,
-t' = t · share · well/q. A full element tells only that it is full, so that exposure then falls by the share
+Automatic exposure moves a quantile q of the last frame's elements to a share of the full well,
+t' = t · share · well/q. The signal of a full element is unknown, so that exposure then falls by the share
 at most, frame by frame.
 """
 
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -26,10 +24,11 @@ from glintrack.core.schema import RADIANCE, check
 from glintrack.sensor.demosaicking import demosaic, polarizer_centroid
 from glintrack.sensor.layouts import Superpixel, pan_element, places
 from glintrack.sensor.lens_kernels import lens_kernels, through_lens, with_wings
-from glintrack.sensor.sensor import Sensor, dark_noise_e, noise_equivalent_radiance
+from glintrack.sensor.sensor import Sensor, noise_equivalent_radiance
 from glintrack.stokes import rotate_qu
 
-SHORTEST_MS, LARGEST_STEP = 0.001, 4.0  # of the automatic exposure, and how much it changes by a frame
+MIN_EXPOSURE_MS, MAX_STEP = 0.001, 4.0  # of the automatic exposure, and its largest change by a frame
+FULL_SHARE = 0.8  # of the full well: target of the automatic exposure
 NOISE_FLOORS = 3.0  # DoLP is masked where S0 is under three times its noise
 
 
@@ -46,16 +45,16 @@ def expose(
     sensor
         From `build_sensor`.
     served
-        Mirrors that feed the spectrometer in this frame; they go dark in pan.
+        Mirrors that feed the spectrometer in this frame; they are dark in pan.
     rng
         Shot and read noise.
     time_s
-        Written to the frame.
+        Time of the frame.
 
     Returns
     -------
-    Schema ``frame``; pan is NaN where the mirror was away. Without a mirror or an open element pan is S0;
-    without polarizers S0 is pan, and S1 and S2 are NaN.
+    Schema ``frame``; pan is NaN where the mirror fed the spectrometer. Without a mirror or an open element
+    pan is S0; without polarizers S0 is pan, and S1 and S2 are NaN.
     """
     return frame_of(detector_readout(radiance(sensor.channels).values, sensor, rng), sensor, served, time_s)
 
@@ -63,15 +62,14 @@ def expose(
 def frame_of(
     measured: Float[Array, "row column"], sensor: Sensor, served: ServedQueries, time_s: float = 0.0
 ) -> xr.Dataset:
-    """The frame from what the elements read (`detector_readout`); the rest as in `expose`."""
+    """Compute a frame from the readings of `detector_readout`; the rest as in `expose`."""
     side, layout = sensor.side, sensor.design.superpixel
     place = sensor.pan_element
     pan = None
     dark = np.zeros((measured.shape[0] // side, measured.shape[1] // side), bool)
     if place is not None:
         pan = measured[place[0] :: side, place[1] :: side].copy()
-        away = served.is_served
-        dark[served.rows[away], served.columns[away]] = True
+        dark[served.rows[served.is_served], served.columns[served.is_served]] = True
         pan[dark] = np.nan
     if sensor.stokes_matrix is not None:
         readings = demosaic(measured, layout, sensor.design.demosaic, dark)
@@ -85,13 +83,7 @@ def frame_of(
 
 
 def detector_readout(light: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
-    """What every element reads, (row, column), from light (y, x, channel, stokes). [W m⁻² sr⁻¹ µm⁻¹]
-
-    Raises
-    ------
-    ValueError
-        If the light's size is no whole multiple of the array's.
-    """
+    """Readings (row, column) from light (y, x, channel, stokes): `light_on_elements`, then `read_out`."""
     return read_out(light_on_elements(light, sensor), sensor, rng)
 
 
@@ -103,7 +95,7 @@ def light_on_elements(light: Array, sensor: Sensor) -> Float[Array, "plane row c
     Raises
     ------
     ValueError
-        As `detector_readout`.
+        If the light's size is no whole multiple of the array's.
     """
     rows, columns = sensor.camera.rows, sensor.camera.columns
     fine = light.shape[0] // rows if light.ndim == 4 else 0
@@ -115,19 +107,22 @@ def light_on_elements(light: Array, sensor: Sensor) -> Float[Array, "plane row c
         )
     planes = np.stack([light[:, :, channel, component] for channel, component in sensor.planes])
     if sensor.design.optics.depolarizer:
-        planes = depolarized(planes, sensor)
+        planes = depolarize(planes, sensor)
     kernels = sensor.kernels
     if fine > 1:
         kernels = lens_kernels(sensor.design, sensor.wavelength_um, sensor.channels, fine)
     own = tuple(kernels[channel] for channel, _ in sensor.planes)
-    on_elements = through_lens(planes, own, fine, _window(sensor, fine))
+    # the share of each cell along an element under its aperture, in the middle
+    half, edges = 0.5 * math.sqrt(sensor.design.fill_factor), np.linspace(-0.5, 0.5, fine + 1)
+    covered = np.maximum(np.minimum(edges[1:], half) - np.maximum(edges[:-1], -half), 0)
+    on_elements = through_lens(planes, own, fine, covered / covered.sum())
     for k, kernel in enumerate(own):
         on_elements[k] = with_wings(on_elements[k], sensor.design, kernel.far_share, kernel.half_side_um)
     return on_elements
 
 
-def depolarized(planes: Float[Array, "plane row column"], sensor: Sensor) -> Float[Array, "plane row column"]:
-    """The same light on the elements with S1 = S2 = 0."""
+def depolarize(planes: Float[Array, "plane row column"], sensor: Sensor) -> Float[Array, "plane row column"]:
+    """Set S1 and S2 of the light on the elements to 0."""
     component = np.array([component for _, component in sensor.planes])
     return np.where((component == 0)[:, None, None], planes, 0.0)
 
@@ -137,16 +132,10 @@ def s0_noise_floor(sensor: Sensor) -> float:
     if sensor.stokes_matrix is None:
         return noise_equivalent_radiance(sensor)
     polarizers = places(sensor.design.superpixel, "polarizer")
-    noise = np.array([dark_noise_e(sensor) / sensor.electrons_per_reading[place] for place in polarizers])
+    noise = np.array(
+        [sensor.design.dark_noise_e / sensor.electrons_per_reading[place] for place in polarizers]
+    )
     return float(np.hypot.reduce(sensor.stokes_matrix[0] * noise))
-
-
-def _window(sensor: Sensor, fine: int) -> Array:
-    """Part of each cell along an element that its aperture, in the middle, covers; sums to 1."""
-    half = 0.5 * math.sqrt(sensor.design.fill_factor)
-    edges = np.linspace(-0.5, 0.5, fine + 1)
-    covered = np.maximum(np.minimum(edges[1:], half) - np.maximum(edges[:-1], -half), 0)
-    return covered / covered.sum()
 
 
 def label_frame(
@@ -157,57 +146,48 @@ def label_frame(
     attributes: Mapping[str, float],
     units: str = RADIANCE,
 ) -> xr.Dataset:
-    """A frame of the schema ``frame``, with where the samples of each variable lie.
+    """Label a frame of the schema ``frame``, with the offsets of each variable's samples.
 
     Parameters
     ----------
     pan, stokes
-        Of every superpixel; pan is that of the mirror or open element, else S0.
+        Values of every superpixel; pan is that of the mirror or open element, else S0.
     layout, demosaic_method
-        Superpixel, and how its elements came to one place.
+        Superpixel, and its demosaicking.
     attributes
-        Of the frame: ``time_s`` [s], ``dolp_floor``.
+        Attributes of the frame: ``time_s`` [s], ``dolp_floor``.
     units
-        Of pan and the Stokes vectors.
+        Unit of pan and the Stokes vectors.
     """
     side = len(layout)
     middle = (side - 1) / 2
-    centre = polarizer_centroid(layout, demosaic_method)
-    place = pan_element(layout)
-    offset_of_pan = centre if place is None else np.array(place, dtype=float) - middle
-    offsets: dict[str, dict[str, Any]] = {
-        name: {"units": units, "row_offset": float(offset[0]), "column_offset": float(offset[1])}
-        for name, offset in (("pan", offset_of_pan), ("stokes_radiance", centre))
-    }
-    rows, columns = pan.shape
+    centre, place = polarizer_centroid(layout, demosaic_method), pan_element(layout)
+    of_pan, of_stokes = (
+        {"units": units, "row_offset": float(offset[0]), "column_offset": float(offset[1])}
+        for offset in (centre if place is None else np.array(place, dtype=float) - middle, centre)
+    )
+    axes = {n: side * np.arange(count) + middle for n, count in zip("yx", pan.shape, strict=True)}
     return xr.Dataset(
         {
-            "pan": (("y", "x"), pan, offsets["pan"]),
-            "stokes_radiance": (
-                ("y", "x", "stokes"),
-                stokes,
-                {**offsets["stokes_radiance"], "stokes_frame": "detector"},
-            ),
+            "pan": (("y", "x"), pan, of_pan),
+            "stokes_radiance": (("y", "x", "stokes"), stokes, {**of_stokes, "stokes_frame": "detector"}),
         },
-        coords={
-            "y": ("y", side * np.arange(rows) + middle, {"units": "element"}),
-            "x": ("x", side * np.arange(columns) + middle, {"units": "element"}),
-            "stokes": ["I", "Q", "U"],
-        },
+        coords={n: (n, values, {"units": "element"}) for n, values in axes.items()}
+        | {"stokes": ["I", "Q", "U"]},
         attrs=dict(attributes),
     )
 
 
 PEDESTAL_COUNTS = 64  # of the converter below zero, so that dark noise is not cut off
-FULL_FOR_CERTAIN = 10.0  # full wells: glints need no larger Poisson deviates than that
+MAX_MEAN_WELLS = 10.0  # full wells: elements are full for certain above that
 BLOCK_ROWS = 32
-_LARGEST_MEAN_E = 1e18  # that NumPy draws Poisson deviates of
+_MAX_MEAN_E = 1e18  # of NumPy's Poisson deviates
 
 
 def read_out(
     planes: Float[Array, "plane row column"], sensor: Sensor, rng: np.random.Generator
 ) -> Float[Array, "row column"]:
-    """Light on the elements to what each reads, calibrated.
+    """Calibrated readings of the light on the elements.
 
     Parameters
     ----------
@@ -216,11 +196,11 @@ def read_out(
     sensor
         From `build_sensor`.
     rng
-        Spawns a generator for each block of rows.
+        Source of a generator for each block of rows.
 
     Returns
     -------
-    The band-mean radiance of unpolarized light that gives each element's count. [W m⁻² sr⁻¹ µm⁻¹]
+    The band-mean radiance of unpolarized light with each element's count. [W m⁻² sr⁻¹ µm⁻¹]
     """
     rows, columns = planes.shape[1:]
     side = sensor.side
@@ -241,7 +221,7 @@ def read_out(
 
 
 def photo_electrons(planes: Float[Array, "plane row column"], sensor: Sensor) -> Float[Array, "row column"]:
-    """Electrons that light makes in elements of mean gain: each one's analyser row times the light. [e]"""
+    """Electrons in elements of mean gain: each one's analyser row times the light. [e]"""
     side, turn = sensor.side, sensor.pattern.polarizer_turn
     out = np.zeros(planes.shape[1:])
     for i in range(side):
@@ -260,10 +240,10 @@ def photo_electrons(planes: Float[Array, "plane row column"], sensor: Sensor) ->
 
 
 def _counts_e(light_e: Array, sensor: Sensor, rows: slice, rng: np.random.Generator) -> Array:
-    """Electrons that the counts of a block of rows stand for."""
+    """Electrons of the counts of a block of rows."""
     design, pattern = sensor.design, sensor.pattern
     offset_e, full_well_e = pattern.offset_e[rows], design.full_well_e
-    most_e = min(FULL_FOR_CERTAIN * full_well_e, _LARGEST_MEAN_E)
+    most_e = min(MAX_MEAN_WELLS * full_well_e, _MAX_MEAN_E)
     expected_e = light_e * pattern.gain[rows] + np.maximum(offset_e, 0)
     electrons = rng.poisson(np.clip(expected_e, 0, most_e)) + np.minimum(offset_e, 0.0)
     electrons = np.minimum(electrons, full_well_e)
@@ -287,15 +267,14 @@ def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: Serv
 
     Returns
     -------
-    Electrons that the exposure given in the design would have made, whatever that of the frame was, so that a
-    detector may hold frames against each other. The variance is the electrons' own (shot noise) plus that of
-    the dark; what calibration does not know of the elements' gains is left out, since it stays with the
-    element from frame to frame.
+    Electrons at the exposure of the design, whatever that of the frame, so that a detector may compare
+    frames. The variance is that of the electrons (shot noise) plus that of the dark. Calibration errors of
+    the elements' gains are left out, since they stay the same from frame to frame.
     """
     side = sensor.side
     rows, columns = (n // side for n in measured.shape)
     electrons = measured * np.tile(sensor.electrons_per_reading, (rows, columns)).astype(np.float32)
-    sigma_e = np.sqrt(np.maximum(electrons, 0) + np.float32(dark_noise_e(sensor) ** 2))
+    sigma_e = np.sqrt(np.maximum(electrons, 0) + np.float32(sensor.design.dark_noise_e**2))
     away = served.is_served
     i, j = sensor.mirror_element
     part = np.float32(sensor.exposure_part)
@@ -305,14 +284,14 @@ def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: Serv
 
 
 def next_exposure_ms(sensor: Sensor, measured: Float[Array, "row column"]) -> float:
-    """Exposure of the frame that follows one, as the design says. [ms]
+    """Exposure of the next frame by the design. [ms]
 
     Parameters
     ----------
     sensor
-        As exposed: `with_exposure` of the last frame's.
+        With the exposure of the last frame (`with_exposure`).
     measured
-        Its readings, from `readout.read_out`. [W m⁻² sr⁻¹ µm⁻¹]
+        Its readings, from `read_out`. [W m⁻² sr⁻¹ µm⁻¹]
     """
     design = sensor.design
     automatic = design.auto_exposure
@@ -321,22 +300,14 @@ def next_exposure_ms(sensor: Sensor, measured: Float[Array, "row column"]) -> fl
     side = sensor.side
     rows, columns = (n // side for n in measured.shape)
     electrons = measured * np.tile(sensor.electrons_per_reading, (rows, columns)) * sensor.pattern.known_gain
-    held_e = max(float(np.quantile(electrons, automatic.quantile)), 1.0)
-    change = automatic.full_share * design.full_well_e / held_e
-    change = min(max(change, 1 / LARGEST_STEP), LARGEST_STEP)
-    return min(max(design.integration_time_ms * change, SHORTEST_MS), design.longest_integration_time_ms)
+    quantile_e = max(float(np.quantile(electrons, automatic.quantile)), 1.0)
+    change = FULL_SHARE * design.full_well_e / quantile_e
+    change = min(max(change, 1 / MAX_STEP), MAX_STEP)
+    return min(max(design.integration_time_ms * change, MIN_EXPOSURE_MS), design.longest_integration_time_ms)
 
 
 def with_exposure(sensor: Sensor, exposure_ms: float) -> Sensor:
-    """The same sensor exposing for another time: electrons and dark current scale, calibration knows it.
-
-    Parameters
-    ----------
-    sensor
-        From `build_sensor` or from here.
-    exposure_ms
-        [ms]
-    """
+    """Change a sensor's exposure [ms]: electrons, dark current and their calibration scale."""
     before_ms = sensor.design.integration_time_ms
     if exposure_ms == before_ms:
         return sensor
@@ -358,16 +329,16 @@ def with_exposure(sensor: Sensor, exposure_ms: float) -> Sensor:
 
 
 def noiseless_frame(radiance: Radiance, sensor: Sensor, time_s: float = 0.0) -> xr.Dataset:
-    """A frame of the light itself: pan and Stokes vectors are the means over each superpixel's elements.
+    """Frame of the light itself: pan and Stokes vectors are the means over each superpixel's elements.
 
     Parameters
     ----------
     radiance
-        As for `expose`, before anything moved or blurred it.
+        As for `expose`, before motion and lens.
     sensor
         From `build_sensor`.
     time_s
-        Written to the frame.
+        Time of the frame.
 
     Returns
     -------
@@ -380,9 +351,7 @@ def noiseless_frame(radiance: Radiance, sensor: Sensor, time_s: float = 0.0) -> 
     mean = blocks.mean(axis=(1, 3)).astype(np.float32)
     if sensor.design.optics.depolarizer:
         mean[..., 1:] = 0
-    frame = label_frame(
-        mean[..., 0], mean[..., :3], sensor.design.superpixel, "bilinear", {"dolp_floor": 0.0}
-    )
-    for name in ("pan", "stokes_radiance"):
-        frame[name].attrs |= {"row_offset": 0.0, "column_offset": 0.0}
-    return check(frame.assign_attrs(time_s=float(time_s)), "frame")
+    about = {"dolp_floor": 0.0, "time_s": float(time_s)}
+    frame = label_frame(mean[..., 0], mean[..., :3], sensor.design.superpixel, "bilinear", about)
+    frame["pan"].attrs |= {"row_offset": 0.0, "column_offset": 0.0}
+    return check(frame, "frame")

@@ -7,28 +7,23 @@ from jaxtyping import Float
 
 from glintrack.core.arrays import Array
 from glintrack.sensor.design import SensorDesign
-from glintrack.sensor.layouts import MIRROR, OPEN
 from glintrack.sensor.polarizer import Polarizer, axis_at_incidence
 from glintrack.sensor.wavefront import relative_illumination
 
-CALIBRATION_FRAMES = (
-    100  # dark and half-full flat frames that the elements' gains and offsets are measured with
-)
+CALIBRATION_FRAMES = 100  # dark and half-full flat frames from which gains and offsets are measured
 _COPY = 0  # seed of the one copy of the sensor
 
 
 @dataclass(frozen=True)
 class Departure:
-    """By how much each element's analyser row differs from that of its kind.
+    """Difference of each element's analyser row from that of its kind.
 
     Parameters
     ----------
-    gain
-        Factor on the whole row. [1]
-    diattenuation
-        Factor on its polarized part. [1]
+    gain, diattenuation
+        Factors on the whole row and on its polarized part. [1]
     turn_rad
-        Of its axis, counter-clockwise looking at the source. [rad]
+        Rotation of its axis, counter-clockwise looking at the source. [rad]
     """
 
     gain: Float[Array, "row column"]
@@ -52,22 +47,21 @@ def departure_at_incidence(
     wavelength_um: Float[Array, "wavelength"],
     weights: Float[Array, "wavelength"],
 ) -> Departure | None:
-    """Departure of the elements because of their chief rays; None where all are taken as normal.
+    """Departure of the elements because of their chief rays; None for normal incidence.
 
     Parameters
     ----------
     design
         The sensor.
     polarizer
-        Its polarizer; what it transmits is interpolated between its angles of incidence.
+        Its polarizer, with matrices that are interpolated between its angles of incidence.
     wavelength_um, weights
-        Grid, and what each wavelength counts for in a bare element's reading. [µm, 1]
+        Grid, and the weight of each wavelength in a bare element's reading. [µm, 1]
     """
     if design.polarizer_incidence == "normal" or not design.has_stokes:
         return None
     incidence, azimuth = chief_rays(design)
-    turn = np.zeros(incidence.shape)
-    covered = np.zeros(incidence.shape)
+    turn, covered = np.zeros((2, *incidence.shape))
     side = len(design.superpixel)
     used = weights > 0
     row = np.array(
@@ -95,11 +89,12 @@ class FixedPattern:
     Parameters
     ----------
     gain, known_gain
-        Of each element over the mean, with the light's fall-off over the field; what calibration found. [1]
+        Gain of each element over the mean, with the light's fall-off over the field; true and calibrated.
+        [1]
     offset_e, known_offset_e
-        Dark electrons of one exposure (mean dark current and DSNU); what calibration found. [e]
+        Dark electrons of one exposure (mean dark current and DSNU); true and calibrated. [e]
     polarizer_turn
-        What turns each element's (Q, U) weights: factor of its diattenuation × cos 2α and × sin 2α, α the
+        Rotation of each element's (Q, U) weights: factor of its diattenuation × cos 2α and × sin 2α, α the
         error of its pass axis; None where all elements of a kind are alike. [1]
     """
 
@@ -110,18 +105,18 @@ class FixedPattern:
     polarizer_turn: Float[Array, "2 row column"] | None = None
 
 
-def fixed_pattern(design: SensorDesign, slanted: Departure | None = None) -> FixedPattern:
-    """Fixed pattern of one copy of the design, and its calibration.
+def build_fixed_pattern(design: SensorDesign, slanted: Departure | None = None) -> FixedPattern:
+    """Build the fixed pattern of one copy of the design, and its calibration.
 
     Parameters
     ----------
     design
         The sensor.
     slanted
-        What the angle of incidence does to each element; calibration knows its gain.
+        Effect of the angle of incidence on each element; its gain is calibrated.
 
-    A real calibration averages dark frames and evenly lit ones at half the full well; what it finds of each
-    element is off by the noise of that average.
+    A real calibration averages dark frames and evenly lit ones at half the full well. The error of each
+    element is the noise of that average.
 
     References
     ----------
@@ -145,36 +140,16 @@ def fixed_pattern(design: SensorDesign, slanted: Departure | None = None) -> Fix
         known_offset = offset + error_e * rng.standard_normal(shape)
     if slanted is not None:
         gain, known_gain = gain * slanted.gain, known_gain * slanted.gain
-    error = _polarizer_errors(design)
-    turn = None
-    if slanted is not None or error is not None:
-        nothing = Departure(np.ones(shape), np.ones(shape), np.zeros(shape))
-        first, second = slanted or nothing, error or nothing
-        gain = gain * second.gain
-        angle = 2 * (first.turn_rad + second.turn_rad)
-        turn = first.diattenuation * second.diattenuation * np.stack([np.cos(angle), np.sin(angle)])
-        turn = turn.astype(np.float32)
-    values = (gain, known_gain, offset, known_offset)
-    return FixedPattern(
-        *(np.ascontiguousarray(value, dtype=np.float32) for value in values), polarizer_turn=turn
-    )
-
-
-def _polarizer_errors(design: SensorDesign) -> Departure | None:
-    """What calibration left of the polarizers' differences; those of this copy."""
-    spread, shape = design.polarizer_spread, (design.rows, design.columns)
-    if not design.has_stokes or not (spread.gain or spread.diattenuation or spread.angle_deg):
-        return None
-    rng = np.random.default_rng(np.random.SeedSequence(_COPY, spawn_key=(8,)))
-    gain, diattenuation, turn = rng.standard_normal((3, *shape)) * _over_polarizers(design)
-    return Departure(
-        np.maximum(1 + spread.gain * gain, 0.05),
-        np.clip(1 + spread.diattenuation * diattenuation, 0, None),
-        np.radians(spread.angle_deg) * turn,
-    )
-
-
-def _over_polarizers(design: SensorDesign) -> Float[Array, "row column"]:
-    """1 where a polarizer stands over an element, 0 elsewhere."""
-    kinds = np.array([[what not in (MIRROR, OPEN) for what in row] for row in design.superpixel], float)
-    return np.tile(kinds, (design.rows // len(kinds), design.columns // len(kinds)))
+    spread, turn = design.polarizer_spread, None
+    if slanted is not None or (design.has_stokes and any(spread.model_dump().values())):
+        first = slanted or Departure(np.ones(shape), np.ones(shape), np.zeros(shape))
+        # the polarizers' uncalibrated errors, of this copy
+        kinds = np.array([[not isinstance(what, str) for what in row] for row in design.superpixel], float)
+        rng = np.random.default_rng(np.random.SeedSequence(_COPY, spawn_key=(8,)))
+        errors = rng.standard_normal((3, *shape)) * np.tile(kinds, [n // len(kinds) for n in shape])
+        gain = gain * np.maximum(1 + spread.gain * errors[0], 0.05)
+        angle = 2 * (first.turn_rad + np.radians(spread.angle_deg) * errors[2])
+        turn = first.diattenuation * np.clip(1 + spread.diattenuation * errors[1], 0, None)
+        turn = (turn * np.stack([np.cos(angle), np.sin(angle)])).astype(np.float32)
+    values = (np.ascontiguousarray(v, dtype=np.float32) for v in (gain, known_gain, offset, known_offset))
+    return FixedPattern(*values, polarizer_turn=turn)

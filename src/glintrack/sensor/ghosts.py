@@ -1,9 +1,9 @@
 """Ghosts of a lens prescription: light that is reflected twice on its way to the image.
 
-Every pair of surfaces that may reflect is unfolded into a prescription of its own, through which the rays of
-the lens itself are traced: forward to the later surface, back to the earlier one, forward to the image. The
-later one may be the detector, the earlier one what is imaged. It stands for the two-reflection part of what
-the paper's stray-light program does (§3.2); scatter, edges and mounts need one that is not sequential.
+Every pair of surfaces that may reflect is unfolded into a prescription of its own. The rays of the lens are
+traced through it: forward to the later surface, back to the earlier one, forward to the image. The later
+surface may be the detector, the earlier one the object. This is the two-reflection part of the paper's
+stray-light program (§3.2); scatter, edges and mounts need non-sequential tracing.
 """
 
 from dataclasses import dataclass
@@ -13,12 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.sensor.lens import LensDesign, LensSurface, build_optic, launched
+from glintrack.sensor.lens import LensDesign, LensSurface, build_optic, launch_rays
 
-SILICON = (
-    0.35  # bare, at 0.6 µm: ((3.9 − 1)/(3.9 + 1))²; Green, Sol. Energy Mater. Sol. Cells 92, 1305 (2008)
-)
-_GREATEST_INDEX = 5.0  # above that of any glass
+# of bare silicon at 0.6 µm: ((3.9 − 1)/(3.9 + 1))²; Green, Sol. Energy Mater. Sol. Cells 92, 1305 (2008)
+SILICON = 0.35
+_MAX_INDEX = 5.0  # above that of any glass
 
 
 @dataclass(frozen=True)
@@ -28,14 +27,14 @@ class Ghost:
     Parameters
     ----------
     later, earlier
-        Surfaces that reflect, in the order light meets them: 0 is the object, 1 the prescription's first, one
+        Reflecting surfaces in the order of the light: 0 is the object, 1 the prescription's first, one
         more than its last the image.
     share
         Light in the ghost over light in the image. [1]
     spot_rms_um
-        About its centroid; an even disc of that size has √2 of it as radius. [µm]
+        RMS radius about its centroid; an even disc has √2 times that as radius. [µm]
     shift_um
-        Of its centroid from the image, right and up. [µm]
+        Shift of its centroid from the image, right and up. [µm]
     """
 
     later: int
@@ -45,7 +44,7 @@ class Ghost:
     shift_um: tuple[float, float]
 
     def on_element(self, pitch_um: float) -> float:
-        """Light on an element amid the ghost of a point over the point's own light on an element. [1]"""
+        """Light on an element in the ghost of a point, over the point's own light on an element. [1]"""
         return self.share * min(1.0, pitch_um**2 / max(2 * np.pi * self.spot_rms_um**2, 1e-12))
 
 
@@ -62,19 +61,19 @@ def ghosts(
     Parameters
     ----------
     lens
-        The prescription. Glass reflects by Fresnel's formula at normal incidence or as ``reflectance`` says.
+        The prescription. Glass reflects by Fresnel's formula at normal incidence or by its ``reflectance``.
     field
-        Which of its ``fields_mm``.
+        Index among its ``fields_mm``.
     wavelength_um
-        The middle one of the prescription if left out. [µm]
+        The middle one of the prescription by default. [µm]
     image_reflectance, object_reflectance
-        Of the detector, and of the plane that is imaged. [1]
+        Reflectance of the detector, and of the object plane. [1]
     rays
-        Of each path, evenly over the pupil.
+        Number of rays of each path, evenly over the pupil.
 
     Returns
     -------
-    All pairs whose light arrives. Paths that come back over a grating are left out: it sends them elsewhere.
+    All pairs with light on the image. Paths back over a grating are left out: it diffracts them elsewhere.
 
     Raises
     ------
@@ -85,7 +84,7 @@ def ghosts(
         wavelength_um = lens.wavelengths_um[len(lens.wavelengths_um) // 2]
     optic = build_optic(lens)
     reflectance = _reflectances(lens, optic, wavelength_um, image_reflectance, object_reflectance)
-    signal = _arrived(optic, launched(optic, lens, field, wavelength_um, rays))
+    signal = _image_points(optic, launch_rays(optic, lens, field, wavelength_um, rays))
     found = []
     for later in range(1, len(lens.surfaces) + 2):
         for earlier in range(later):
@@ -94,8 +93,8 @@ def ghosts(
             if light == 0 or any(surface.grating_period_um is not None for surface in between):
                 continue
             light *= float(np.prod([1 - reflectance[k] for k in range(earlier + 1, later)])) ** 2
-            light_rays = launched(optic, lens, field, wavelength_um, rays)
-            spot = _arrived(build_optic(unfolded(lens, later, earlier)), light_rays)
+            light_rays = launch_rays(optic, lens, field, wavelength_um, rays)
+            spot = _image_points(build_optic(unfold(lens, later, earlier)), light_rays)
             if not len(spot) or not len(signal):
                 continue
             shift = 1e3 * (spot.mean(axis=0) - signal.mean(axis=0))
@@ -105,16 +104,14 @@ def ghosts(
     return sorted(found, key=lambda ghost: -ghost.share)
 
 
-def unfolded(lens: LensDesign, later: int, earlier: int) -> LensDesign:
-    """The prescription of a ghost: to ``later``, back to ``earlier``, and to the image."""
+def unfold(lens: LensDesign, later: int, earlier: int) -> LensDesign:
+    """Unfold the prescription of a ghost: to ``later``, back to ``earlier``, and to the image."""
     count = len(lens.surfaces)
-    places = np.cumsum(
-        [
-            -lens.object_distance_mm,
-            lens.object_distance_mm,
-            *(surface.thickness_mm for surface in lens.surfaces),
-        ]
-    )
+    media = ["air"]  # behind the object and each surface; the same before a mirror and behind it
+    for surface in lens.surfaces:
+        media.append(media[-1] if surface.material == "mirror" else surface.material)
+    first_mm = lens.object_distance_mm
+    places = np.cumsum([-first_mm, first_mm, *(surface.thickness_mm for surface in lens.surfaces)])
     path = [*range(1, later), later, *range(later - 1, earlier, -1), earlier, *range(earlier + 1, count + 1)]
     turns = (later - 1, 2 * later - earlier - 1)
     surfaces = []
@@ -123,7 +120,7 @@ def unfolded(lens: LensDesign, later: int, earlier: int) -> LensDesign:
         if step in turns or own.material == "mirror":
             material = "mirror"
         else:
-            material = _media(lens)[k - 1 if turns[0] < step < turns[1] else k]
+            material = media[k - 1 if turns[0] < step < turns[1] else k]
         change = {"thickness_mm": float(places[after] - places[k]), "material": material, "stop": step == 0}
         surfaces.append(own.model_copy(update=change))
     return lens.model_copy(update={"surfaces": tuple(surfaces)})
@@ -136,18 +133,18 @@ def with_window(
     material: str = "N-BK7",
     reflectance: float | None = None,
 ) -> LensDesign:
-    """The prescription with a plane window before its image, which moves back by what the glass takes.
+    """Put a plane window before the image, which moves back by the focus shift of the glass.
 
     Parameters
     ----------
     lens
         The prescription.
     thickness_mm, gap_mm
-        Of the window, and from it to the image. [mm]
+        Thickness of the window, and its distance from the image. [mm]
     material
         A glass by its catalogue name.
     reflectance
-        Of each face; bare if left out. [1]
+        Reflectance of each face; that of bare glass by default. [1]
 
     Raises
     ------
@@ -160,7 +157,7 @@ def with_window(
         f"`window` must fit into the {before_mm:g} mm before the image, "
         f"got {thickness_mm:g} mm and a gap of {gap_mm:g} mm"
     )
-    if not (0 < thickness_mm <= _GREATEST_INDEX * before_mm and 0 <= gap_mm <= before_mm):
+    if not (0 < thickness_mm <= _MAX_INDEX * before_mm and 0 <= gap_mm <= before_mm):
         raise ValueError(unfit)
     way = float(np.copysign(1.0, last.thickness_mm))
     plate = LensSurface(thickness_mm=way * thickness_mm, material=material, reflectance=reflectance)
@@ -175,18 +172,10 @@ def with_window(
     return lens.model_copy(update={"surfaces": (*lens.surfaces[:-1], before, plate, behind)})
 
 
-def _media(lens: LensDesign) -> list[str]:
-    """What is behind the object and each surface; before a mirror and behind it is the same."""
-    media = ["air"]
-    for surface in lens.surfaces:
-        media.append(media[-1] if surface.material == "mirror" else surface.material)
-    return media
-
-
 def _reflectances(
     lens: LensDesign, optic: Any, wavelength_um: float, image: float, imaged: float
 ) -> Float[Array, "surface"]:
-    """Of object, surfaces and image; none of mirrors, whose light all goes on. [1]"""
+    """Reflectances of object, surfaces and image; 0 for mirrors, which lose no light. [1]"""
     index = np.ravel(optic.surfaces.n(wavelength_um)).astype(float)
     found = [imaged]
     for k, surface in enumerate(lens.surfaces, start=1):
@@ -197,8 +186,8 @@ def _reflectances(
     return np.array([*found, image])
 
 
-def _arrived(optic: Any, rays: Any) -> Float[Array, "ray 2"]:
-    """Where rays meet the image, without those that do not. [mm]"""
+def _image_points(optic: Any, rays: Any) -> Float[Array, "ray 2"]:
+    """Points where rays meet the image. [mm]"""
     optic.surfaces.trace(rays)
-    places = np.stack([np.asarray(optic.surfaces.x)[-1], np.asarray(optic.surfaces.y)[-1]], axis=-1)
+    places = np.stack([np.asarray(getattr(optic.surfaces, axis))[-1] for axis in "xy"], axis=-1)
     return places[np.isfinite(places).all(axis=1)]

@@ -24,7 +24,7 @@ LARGEST_CONDITION = 50.0  # noise of S1 and S2 is then some fifty times that of 
 
 
 def superpixel(layout: str | Superpixel, name: str = "sensor.layout") -> Superpixel:
-    """What stands over each element of a superpixel.
+    """Polarizer, mirror or nothing over each element of a superpixel.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def places(layout: Superpixel, kind: str) -> list[tuple[int, int]]:
 
 
 def pan_element(layout: Superpixel) -> tuple[int, int] | None:
-    """The element whose reading is pan: the mirror, else an open one; None where pan is S0."""
+    """(row, column) of the element of pan: the mirror, else an open one; None where pan is S0."""
     found = places(layout, MIRROR) + places(layout, OPEN)
     return found[0] if found else None
 
@@ -94,7 +94,7 @@ def pan_element(layout: Superpixel) -> tuple[int, int] | None:
 def analyser_matrix(
     layout: Superpixel, diattenuation: float | Float[Array, "polarizer"]
 ) -> Float[Array, "polarizer 3"]:
-    """What each polarizer's reading is of S0, S1 and S2, if unpolarized light reads as S0. [1]
+    """Response of each polarizer to S0, S1 and S2, if unpolarized light reads as S0. [1]
 
     Parameters
     ----------

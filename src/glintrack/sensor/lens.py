@@ -1,7 +1,7 @@
 """Lens prescriptions through optiland (extra ``optics``), alone and in the frame.
 
 Sequential rays through the surfaces of a relay or a spectrometer give spots, wavefront, distortion and
-vignetting, as the paper's lens-design program does (§3.2, Fig. 11). `with_lens` puts them into a sensor's
+vignetting, as in the paper's lens-design program (§3.2, Fig. 11). `with_lens` writes them into a sensor's
 design. Rays that are reflected twice are in `ghosts`; scatter is not traced, see docs/theory/limitations.md.
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 from numba.core.errors import NumbaIRAssumptionWarning
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from glintrack.core.arrays import Array
@@ -29,7 +30,7 @@ from glintrack.sensor.lens_kernels import FIELD_NODES
 
 _F_NUMBER_ERROR = 0.05  # between the design's and the prescription's, on the image's side
 _TILT = 3  # Noll's indices to here are piston and tilts: distortion has them
-_LEAST_NM = 0.05  # of a coefficient; 1/10000 of a wave changes no picture
+_MIN_NM = 0.05  # of a coefficient; 1/10000 of a wave changes no picture
 RINGS = 6  # of the hexapolar pattern of rays
 
 _Field = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -37,20 +38,17 @@ _Wavelength = Annotated[float, Field(gt=0, le=30)]
 
 
 class LensSurface(Design):
-    """One surface of a prescription, in the order light meets them."""
+    """One surface of a prescription, in the order of the light."""
 
-    radius_mm: float | None = Field(
-        default=None, ge=-1e7, le=1e7, description="Of curvature; flat if left out"
-    )
+    radius_mm: float | None = Field(default=None, ge=-1e7, le=1e7)
+    """Of curvature; flat if left out."""
     thickness_mm: float = Field(ge=-1e6, le=1e6, description="To the next surface; negative after a mirror")
-    material: str = Field(
-        default="air", description="Behind it: air, mirror, or a glass by its catalogue name"
-    )
+    material: str = "air"
+    """Behind it: air, mirror, or a glass by its catalogue name."""
     conic: float = Field(default=0.0, ge=-1e3, le=1e3)
     stop: bool = False
-    reflectance: float | None = Field(
-        default=None, ge=0, lt=1, description="Of its coating, where it is glass; bare if left out"
-    )
+    reflectance: float | None = Field(default=None, ge=0, lt=1)
+    """Of its coating, where it is glass; bare if left out."""
     grating_period_um: float | None = Field(default=None, gt=0, le=1e6, description="Grooves across y")
     grating_order: int = Field(default=-1, ge=-1000, le=1000)
 
@@ -75,13 +73,13 @@ class LensDesign(Design):
 
 
 def lens_names() -> list[str]:
-    """Prescriptions that come with the package."""
+    """Names of the packaged prescriptions."""
     folder = resources.files("glintrack") / "data" / "lenses"
     return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
 
 
 def read_lens(name: str) -> LensDesign:
-    """A packaged prescription by name, or a user's TOML file.
+    """Read a packaged prescription by name, or a user's TOML file.
 
     Raises
     ------
@@ -98,7 +96,7 @@ def read_lens(name: str) -> LensDesign:
 
 
 def build_optic(lens: LensDesign) -> Any:
-    """The prescription as an optiland ``Optic``.
+    """Build the optiland ``Optic`` of a prescription.
 
     Raises
     ------
@@ -147,17 +145,16 @@ def build_optic(lens: LensDesign) -> Any:
 
 
 def ray_paths(
-    optic: Any, lens: LensDesign, field: int, wavelength_um: float, rings: int = RINGS
+    optic: Any, lens: LensDesign, place_mm: ArrayLike, wavelength_um: float, rings: int = RINGS
 ) -> Float[Array, "surface ray 3"]:
-    """(x, y, z) of the rays of one field at every surface, object to image; NaN where blocked. [mm]"""
-    hx, hy = np.array(lens.fields_mm[field]) / _reach(lens)
+    """(x, y, z) of the rays of one place on the object at every surface; NaN where blocked. [mm]"""
+    hx, hy = np.array(place_mm) / _reach(lens)
     optic.trace(Hx=hx, Hy=hy, wavelength=wavelength_um, num_rays=rings, distribution="hexapolar")
-    group = optic.surfaces
-    return np.stack([np.asarray(getattr(group, axis)) for axis in "xyz"], axis=-1)
+    return np.stack([np.asarray(getattr(optic.surfaces, axis)) for axis in "xyz"], axis=-1)
 
 
-def launched(optic: Any, lens: LensDesign, field: int, wavelength_um: float, rays: int) -> Any:
-    """Rays of one field before the first surface, as optiland has them, evenly over the pupil's area."""
+def launch_rays(optic: Any, lens: LensDesign, field: int, wavelength_um: float, rays: int) -> Any:
+    """Optiland's rays of one field before the first surface, evenly over the pupil's area."""
     k = np.arange(rays)
     radius, azimuth = np.sqrt((k + 0.5) / rays), k * np.pi * (3 - np.sqrt(5))  # Vogel's sunflower
     hx, hy = np.tile(np.array(lens.fields_mm[field]) / _reach(lens), (rays, 1)).T
@@ -167,19 +164,18 @@ def launched(optic: Any, lens: LensDesign, field: int, wavelength_um: float, ray
 
 def image_of(
     lens: LensDesign, objects_mm: Float[Array, "place 2"], wavelength_um: float
-) -> tuple[Float[Array, "place 2"], Float[Array, "place"]]:
-    """Centroids (x, y) of the images of places on the object [mm], and the share of rays that arrive [1]."""
+) -> tuple[Float[Array, "place 2"], Float[Array, "place"], Float[Array, "place"]]:
+    """Centroids (x, y) of the images of places [mm], RMS spots [µm], and shares of rays that arrive [1]."""
     optic, passed = build_optic(lens), np.zeros(len(objects_mm))
-    centres = np.full((len(objects_mm), 2), np.nan)
+    centres, spots = np.full((len(objects_mm), 2), np.nan), np.full(len(objects_mm), np.nan)
     for k, place in enumerate(objects_mm):
-        hx, hy = place / _reach(lens)
-        optic.trace(Hx=hx, Hy=hy, wavelength=wavelength_um, num_rays=RINGS, distribution="hexapolar")
-        image = np.stack([np.asarray(optic.surfaces.x)[-1], np.asarray(optic.surfaces.y)[-1]], axis=-1)
+        image = ray_paths(optic, lens, place, wavelength_um)[-1, :, :2]
         arrived = np.isfinite(image).all(axis=1)
         passed[k] = arrived.mean()
         if arrived.any():
             centres[k] = image[arrived].mean(axis=0)
-    return centres, passed
+            spots[k] = 1e3 * np.sqrt(((image[arrived] - centres[k]) ** 2).sum(axis=1).mean())
+    return centres, spots, passed
 
 
 def path_errors_um(
@@ -196,7 +192,7 @@ def path_errors_um(
 
 
 def _reach(lens: LensDesign) -> float:
-    """Distance of the outermost field from the axis, in which optiland counts. [mm]"""
+    """Distance of the outermost field from the axis, optiland's unit of fields. [mm]"""
     return max(np.hypot(x, y) for x, y in lens.fields_mm) or 1.0
 
 
@@ -209,24 +205,16 @@ def lens_quality(lens: LensDesign) -> xr.Dataset:
     that centroid [mm], ``distortion``, its distance from the best magnification of the object [mm], and
     ``passed``, the share of rays that arrive [1].
     """
-    optic = build_optic(lens)
-    shape = (len(lens.fields_mm), len(lens.wavelengths_um))
-    centre, spread, passed = np.full((*shape, 2), np.nan), np.full(shape, np.nan), np.zeros(shape)
-    for i in range(shape[0]):
-        for j, wavelength in enumerate(lens.wavelengths_um):
-            image = ray_paths(optic, lens, i, wavelength)[-1, :, :2]
-            arrived = np.isfinite(image).all(axis=1)
-            passed[i, j] = arrived.mean()
-            if arrived.any():
-                centre[i, j] = image[arrived].mean(axis=0)
-                spread[i, j] = 1e3 * np.sqrt(((image[arrived] - centre[i, j]) ** 2).sum(axis=1).mean())
+    fields = np.array(lens.fields_mm)
+    found = [image_of(lens, fields, wavelength) for wavelength in lens.wavelengths_um]
+    centre, spread, passed = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
     dims = ("field", "wavelength")
     return xr.Dataset(
         {
             "spot_rms": (dims, spread, {"units": "um"}),
             "image_x": (dims, centre[..., 0], {"units": "mm"}),
             "image_y": (dims, centre[..., 1], {"units": "mm"}),
-            "distortion": (dims, _image_residual(np.array(lens.fields_mm), centre), {"units": "mm"}),
+            "distortion": (dims, _image_residual(fields, centre), {"units": "mm"}),
             "passed": (dims, passed, {"units": "1"}),
         },
         coords={"wavelength": ("wavelength", np.array(lens.wavelengths_um), {"units": "um"})},
@@ -249,23 +237,23 @@ def _image_residual(fields_mm: Array, centre: Array) -> Array:
 
 
 def with_lens(design: SensorDesign) -> SensorDesign:
-    """The design with its prescription's aberrations, distortion and vignetting worked out.
+    """Set aberrations, distortion and vignetting of a design from its prescription.
 
     Parameters
     ----------
     design
-        With ``optics.lens`` or without; without it comes back as it is.
+        Returned unchanged without ``optics.lens``.
 
     Returns
     -------
-    The same with ``field_zernikes_rms_nm``, ``distortion`` and ``vignetting`` of ``optics`` set and ``lens``
-    empty.
+    The design with ``field_zernikes_rms_nm``, ``distortion`` and ``vignetting`` of ``optics`` set and
+    ``lens`` empty.
 
     Raises
     ------
     ValueError
-        If the extra ``optics`` is missing, or the prescription is none, does not reach the array's corners
-        or has another F-number.
+        If the extra ``optics`` is missing, or the prescription is invalid, does not reach the array's
+        corners or has another F-number.
 
     Notes
     -----
@@ -286,7 +274,7 @@ def with_lens(design: SensorDesign) -> SensorDesign:
             f"`sensor.f_number` must be the lens's, {found:.2f} on the image's side of {lens.name}, "
             f"got {design.f_number:g}"
         )
-    places, passed = image_of(lens, objects.reshape(-1, 2), wavelength_um)
+    places, _, passed = image_of(lens, objects.reshape(-1, 2), wavelength_um)
     if not np.isfinite(places).all():
         raise ValueError(
             f"`sensor.optics.lens` must image the whole array, got no light in a part by {lens.name}"
@@ -294,7 +282,7 @@ def with_lens(design: SensorDesign) -> SensorDesign:
     errors_nm = 1e3 * path_errors_um(lens, objects.reshape(-1, 2), wavelength_um)
     # prescriptions count the path's error the other way round
     nodes = [
-        {k: round(-float(v), 3) for k, v in enumerate(node, 1) if k > _TILT and abs(v) >= _LEAST_NM}
+        {k: round(-float(v), 3) for k, v in enumerate(node, 1) if k > _TILT and abs(v) >= _MIN_NM}
         for node in errors_nm
     ]
     zernikes = tuple(tuple(nodes[k : k + FIELD_NODES]) for k in range(0, len(nodes), FIELD_NODES))
@@ -310,12 +298,14 @@ def with_lens(design: SensorDesign) -> SensorDesign:
 def _objects(
     design: SensorDesign, lens: LensDesign, wavelength_um: float
 ) -> tuple[Float[Array, "row column 2"], float]:
-    """Places on the object, from the top left, that nodes over the array see; and the magnification. [mm]"""
+    """Places on the object, from the top left, of nodes over the array; and the magnification. [mm]"""
     fields = np.array(lens.fields_mm)
     low, high = fields.min(axis=0), fields.max(axis=0)
     low[0], high[0] = min(low[0], -high[0]), max(high[0], -low[0])  # a prescription is even in x
     middle, step = (low + high) / 2, 1e-3 * max(np.ptp(fields), 1.0)
-    near, _ = image_of(lens, middle + np.array([[-step, 0], [step, 0], [0, -step], [0, step]]), wavelength_um)
+    near, *_ = image_of(
+        lens, middle + np.array([[-step, 0], [step, 0], [0, -step], [0, step]]), wavelength_um
+    )
     magnification = float((near[1, 0] - near[0, 0] + near[3, 1] - near[2, 1]) / (4 * step))
     half = np.array([design.columns, design.rows]) / 2 * design.pitch_um * 1e-3
     reach = half / abs(magnification)
@@ -332,7 +322,7 @@ def _objects(
 
 
 def _distortion(ideal_mm: Array, image_mm: Array, focal_mm: float) -> Distortion:
-    """Coefficients that fit the images best, beside a shift and a scale of their own."""
+    """Coefficients of the best fit to the images, together with a shift and a scale."""
     x, y = ((ideal_mm - ideal_mm.mean(axis=0)) / focal_mm).T
     moved = (image_mm - image_mm.mean(axis=0)) / focal_mm - np.stack([x, y], axis=-1)
     y, moved_y = -y, -moved[:, 1]  # down
@@ -348,7 +338,7 @@ def _distortion(ideal_mm: Array, image_mm: Array, focal_mm: float) -> Distortion
 
 
 def _vignetting(passed: Array, design: SensorDesign) -> float:
-    """Light lost in the corner beside the middle, as the square of the distance that fits best."""
+    """Light lost in the corner, relative to the middle, by the best fit in the square of the distance."""
     down, right = np.meshgrid(
         *(np.linspace(-n, n, FIELD_NODES) for n in (design.rows, design.columns)), indexing="ij"
     )

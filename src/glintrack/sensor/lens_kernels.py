@@ -1,40 +1,40 @@
-"""The lens's point spread as a few separable kernels and wide wings, and the frame's passage through them.
+"""The lens's point spread as a few separable kernels and wide wings, and its convolution with a frame.
 
 A kernel tap is the point spread integrated over one cell of the light's grid. Over the field the kernels of
-some nodes are expanded in common ones (a singular value decomposition), whose strengths are bilinear between
-the nodes; each common kernel is a sum of products of a column and a row.
+some nodes are expanded in common ones (a singular value decomposition), with strengths that are bilinear
+between the nodes; each common kernel is a sum of products of a column and a row.
 
-The kernels end a few elements away. What the pupil's edges diffract falls with the third power of distance
-and carries 1 to 2 % of the light beyond that; without it the modulation transfer is too high by so much. What
-surfaces scatter falls more slowly still. Both are smooth there and are worked out on a coarse grid.
+The kernels end a few elements away. Light diffracted at the pupil's edges falls with the third power of
+distance, and 1 to 2 % of it is beyond that; without it the modulation transfer is too high by as much. Light
+scattered at surfaces falls more slowly still. Both are smooth there and are computed on a coarse grid.
 """
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numba as nb
 import numpy as np
 from jaxtyping import Float
-from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.signal import fftconvolve
 from scipy.special import ndtr
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
 from glintrack.sensor.design import SensorDesign
-from glintrack.sensor.wavefront import diffracted, pupil, wavefront_um
+from glintrack.sensor.wavefront import diffraction_pattern, pupil, wavefront_um
 
 SCATTER_SLOPE = 1.5  # g of ABg: the wings of scatter fall as angle to this power, as of polished glass
-WING_CELL = 4  # elements: the grid the wings are worked out on
-_DIFFRACTED_REACH = 64  # elements: less than a tenth of the diffracted wings lies beyond
+SCATTER_SHOULDER_MRAD = 2.0  # of ABg: B to the power 1/g
+WING_CELL = 4  # elements: the grid of the wings
+_DIFFRACTION_REACH = 64  # elements: less than a tenth of the diffraction wings is beyond
 _PARTS = 6  # samples along a cell
-ENERGY_KEPT = 0.995  # of the light within reach; beyond the kernel lies what the pupil's edges diffract
-LARGEST_HALF_WIDTH = 16  # cells
+ENERGY_SHARE = 0.995  # of the light within reach that a kernel includes
+MAX_HALF_WIDTH = 16  # cells
 RANK_ERROR = 2.5e-3  # of a kernel's Frobenius norm: half a thousandth of the light in a tap
 SPECTRAL_NODES = 5
 FIELD_NODES = 5  # along each side, if the lens changes over the field
-SAMPLES_PER_LAMBDA_N = 2.2  # the point spread holds no finer detail than two to λN
-CELL_PARTS = 7  # samples along a cell, at least, where no spot smooths them
+SAMPLES_PER_LAMBDA_N = 2.2  # the point spread has no finer detail than two per λN
+MIN_CELL_PARTS = 7  # samples along a cell where no spot smooths them
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class LensKernels:
     strength
         (node row, node column, term): of each term, at nodes spread evenly over the frame, corner to corner.
     far_share, half_side_um
-        Light that falls further than the kernels reach, and how far they do: see `wings`. They sum to
+        Share of the light beyond the kernels, and their half side: see `with_wings`. The kernels sum to
         1 − ``far_share``. [1, µm]
     """
 
@@ -96,7 +96,7 @@ def lens_kernels(
     for row in mix:
         kernels = _trim(np.tensordot(row, stacks, axes=1))
         half_side_um = kernels.shape[-1] / 2 * design.pitch_um / oversampling
-        share = diffracted_share(design, float(row @ nodes), half_side_um)
+        share = diffraction_share(design, float(row @ nodes), half_side_um)
         out.append(LensKernels(*_separate((1 - share) * kernels), share, half_side_um))
     return tuple(out)
 
@@ -123,31 +123,29 @@ def through_lens(
     out = np.zeros((count, height // stride, width // stride), np.float32)
     for plane, kernel in enumerate(kernels):
         source = np.ascontiguousarray(planes[plane], dtype=np.float32)
-        down, across = (_with_window(taps, window) for taps in (kernel.down, kernel.across))
-        before = kernel.half_width
-        over_rows(
-            _convolve,
-            out.shape[1],
-            source,
-            down,
-            across,
-            before,
-            stride,
-            kernel.strength,
-            out[plane],
-            least=8,
+        # kernel and aperture in one, reversed: the weight of each cell in an element's light
+        down, across = (
+            np.stack([np.convolve(row[::-1], window) for row in taps]).astype(np.float32)
+            for taps in (kernel.down, kernel.across)
         )
+        job = source, down, across, kernel.half_width, stride, kernel.strength, out[plane]
+        over_rows(_convolve, out.shape[1], *job, least=8)
     return out
 
 
 def _cell_kernels(design: SensorDesign, nodes_um: Array, oversampling: int) -> Array:
     """Point spread over cells: (node, field row, field column, tap, tap), not yet normalised."""
     cell_um = design.pitch_um / oversampling
-    reach_um = 15 * float(nodes_um[-1]) * design.f_number + _aberration_um(design)
-    half = min(math.ceil((reach_um + 4 * design.spot_sigma_um) / cell_um), LARGEST_HALF_WIDTH)
+    optics = design.optics
+    terms = [optics.zernike_rms_nm, *(node for row in optics.field_zernikes_rms_nm for node in row)]
+    rms_um = [1e-3 * sum(map(abs, term.values())) for term in terms]
+    # the wavefront's slope times the focal length; twenty times RMS over diameter bounds low orders well
+    aberration_um = 20 * (rms_um[0] + max(rms_um[1:], default=0.0)) * design.f_number
+    aberration_um += abs(optics.defocus_um) / design.f_number
+    reach_um = 15 * float(nodes_um[-1]) * design.f_number + aberration_um
+    half = min(math.ceil((reach_um + 4 * design.spot_sigma_um) / cell_um), MAX_HALF_WIDTH)
     taps = 2 * max(half, 1) + 1
     edges_um = (np.arange(taps + 1) - taps / 2) * cell_um
-    optics = design.optics
     places = np.linspace(-1, 1, FIELD_NODES) if optics.field_zernikes_rms_nm else np.zeros(1)
     diagonal = math.hypot(design.rows, design.columns)
     out = np.empty((len(nodes_um), len(places), len(places), taps, taps))
@@ -158,28 +156,17 @@ def _cell_kernels(design: SensorDesign, nodes_um: Array, oversampling: int) -> A
             for k, wavelength in enumerate(nodes_um):
                 step_um = float(wavelength) * design.f_number / SAMPLES_PER_LAMBDA_N
                 if design.spot_sigma_um < step_um:
-                    step_um = min(step_um, cell_um / CELL_PARTS)
+                    step_um = min(step_um, cell_um / MIN_CELL_PARTS)
                 samples = 2 * math.ceil(min(reach_um, edges_um[-1]) / step_um) + 1
                 passing = pupil(design, float(wavelength), error_um=error_um)
-                spread = diffracted(design, passing, float(wavelength), step_um, samples)
+                spread = diffraction_pattern(design, passing, float(wavelength), step_um, samples)
                 to_cells = _share_of_cells(samples, step_um, edges_um, design.spot_sigma_um)
                 out[k, i, j] = to_cells @ (spread * step_um**2) @ to_cells.T
     return out
 
 
-def _aberration_um(design: SensorDesign) -> float:
-    """About how far aberrations throw light on the detector. [µm]"""
-    optics = design.optics
-    rms_um = 1e-3 * (
-        sum(abs(v) for v in optics.zernike_rms_nm.values())
-        + max((sum(map(abs, n.values())) for row in optics.field_zernikes_rms_nm for n in row), default=0.0)
-    )
-    # the wavefront's slope times the focal length; twenty times RMS over diameter bounds low orders well
-    return 20 * rms_um * design.f_number + abs(optics.defocus_um) / design.f_number
-
-
 def _share_of_cells(samples: int, step_um: float, edges_um: Array, spot_um: float) -> Array:
-    """(cell, sample): part of each sample's light that falls on each cell, spread by the Gaussian spot."""
+    """(cell, sample): share of each sample's light on each cell, spread by the Gaussian spot."""
     centre = (np.arange(samples) - samples // 2) * step_um
     if spot_um < step_um:  # a sample is a box as wide as its step
         below = np.clip((edges_um[:, None] - centre[None]) / step_um + 0.5, 0, 1)
@@ -189,22 +176,21 @@ def _share_of_cells(samples: int, step_um: float, edges_um: Array, spot_um: floa
 
 
 def _trim(kernels: Array) -> Array:
-    """Smallest common half width that keeps `ENERGY_KEPT` of each kernel's light, normalised to 1."""
+    """Cut kernels to the smallest half width with `ENERGY_SHARE` of the light, and normalise them to 1."""
     middle = kernels.shape[-1] // 2
     total = kernels.sum(axis=(-2, -1))
     for half in range(middle + 1):
         inner = kernels[..., middle - half : middle + half + 1, middle - half : middle + half + 1]
-        kept = inner.sum(axis=(-2, -1))
-        if np.all(kept >= ENERGY_KEPT * total):
+        if np.all(inner.sum(axis=(-2, -1)) >= ENERGY_SHARE * total):
             break
     return inner / inner.sum(axis=(-2, -1), keepdims=True)
 
 
 def _separate(kernels: Array) -> tuple[Array, Array, Array]:
-    """A few separable terms for all nodes of the field, each node's kernel still of the same sum.
+    """Approximate the nodes' kernels by a few separable terms; each node's sum stays the same.
 
     The first term is the product of the kernel's sums along rows and along columns, so that the modulation
-    transfer along both axes is the kernel's own however few terms are kept.
+    transfer along both axes is exact for any number of terms.
     """
     nodes, taps = kernels.shape[:2], kernels.shape[-1]
     flat = kernels.reshape(-1, taps * taps)
@@ -224,11 +210,6 @@ def _separate(kernels: Array) -> tuple[Array, Array, Array]:
     strengths = strengths.T * (wanted / (strengths.T @ (downs.sum(axis=1) * acrosses.sum(axis=1))))[:, None]
     strengths = strengths.reshape(*nodes, -1)
     return downs.astype(np.float32), acrosses.astype(np.float32), strengths.astype(np.float32)
-
-
-def _with_window(taps: Array, window: Array) -> Array:
-    """Kernel and aperture in one, turned round: what an element sees of each cell."""
-    return np.stack([np.convolve(row[::-1], window) for row in taps]).astype(np.float32)
 
 
 @nb.njit(nogil=True, cache=True, fastmath=True)
@@ -289,15 +270,13 @@ def _convolve(start, stop, source, down, across, before, stride, strength, out):
                 out[row_out, j] += ((1 - fy) * upper + fy * lower) * total[j]
 
 
-def diffracted_share(design: SensorDesign, wavelength_um: float, half_side_um: float) -> float:
+def diffraction_share(design: SensorDesign, wavelength_um: float, half_side_um: float) -> float:
     """Light that the pupil's edges diffract out of a square about the image point. [1]
 
     Parameters
     ----------
-    design
-        The sensor.
-    wavelength_um
-        Of the light. [µm]
+    design, wavelength_um
+        The sensor, and the light's wavelength. [µm]
     half_side_um
         Half the square's side, several λN. [µm]
 
@@ -314,16 +293,16 @@ def diffracted_share(design: SensorDesign, wavelength_um: float, half_side_um: f
 def with_wings(
     light: Float[Array, "row column"], design: SensorDesign, far_share: float, half_side_um: float
 ) -> Float[Array, "row column"]:
-    """Light on the elements with the wings added.
+    """Add the wings to the light on the elements.
 
     Parameters
     ----------
     light
-        What the kernels carry of it: 1 − ``far_share``. [radiance]
+        Light by the kernels: 1 − ``far_share`` of all. [radiance]
     design
         The sensor.
     far_share, half_side_um
-        What they do not carry, and the square beyond which it falls: `diffracted_share`. [1, µm]
+        The rest, and half the side of the square outside which it falls: `diffraction_share`. [1, µm]
 
     Returns
     -------
@@ -340,28 +319,20 @@ def with_wings(
     margin = (0, shape[0] * WING_CELL - rows), (0, shape[1] * WING_CELL - columns)
     coarse = np.pad(light, margin, mode="edge").reshape(shape[0], WING_CELL, shape[1], WING_CELL)
     coarse = coarse.mean(axis=(1, 3)) / (1 - far_share)
-    reach = max(shape) if optics.scatter_fraction else min(_DIFFRACTED_REACH // WING_CELL, max(shape))
-    kernel = (1 - optics.scatter_fraction) * _diffracted(reach, half_side_um / design.pitch_um, far_share)
+    reach = max(shape) if optics.scatter_fraction else min(_DIFFRACTION_REACH // WING_CELL, max(shape))
+    place = (np.arange((2 * reach + 1) * _PARTS) + 0.5) / _PARTS - 0.5 - reach  # samples over cells [cell]
+    y, x = np.abs(place[:, None]), np.abs(place[None])
+    # wings ∝ r⁻³ outside the square
+    outside = np.maximum(y, x) * WING_CELL > half_side_um / design.pitch_um
+    diffraction = np.where(outside, WING_CELL * np.hypot(y, x), np.inf) ** -3.0
+    kernel = (1 - optics.scatter_fraction) * (far_share * _per_cell(diffraction, reach))
     if optics.scatter_fraction:
-        step_mrad = WING_CELL * design.pitch_um / design.focal_length_mm
-        kernel = kernel + optics.scatter_fraction * _scattered(
-            reach, step_mrad / optics.scatter_shoulder_mrad, SCATTER_SLOPE
-        )
-    wide = _spread(np.pad(coarse, reach, mode="edge"), kernel)
+        step = WING_CELL * design.pitch_um / design.focal_length_mm / SCATTER_SHOULDER_MRAD
+        scatter = 1 / (1 + (step * np.hypot(y, x)) ** SCATTER_SLOPE)
+        kernel = kernel + optics.scatter_fraction * _per_cell(scatter, reach)
+    wide = fftconvolve(np.pad(coarse, reach, mode="edge"), kernel, mode="valid")
     wings = _between(_between(wide.astype(np.float32).T, columns).T, rows)
     return np.float32(1 - optics.scatter_fraction) * light + wings
-
-
-def _spread(cells: Array, kernel: Array) -> Array:
-    """Convolution of cells with a kernel where it lies wholly within them.
-
-    `scipy.signal.fftconvolve` does the same; to load it takes as long as to load the rest of the sensor.
-    """
-    whole = tuple(a + b - 1 for a, b in zip(cells.shape, kernel.shape, strict=True))
-    size = tuple(next_fast_len(n, real=True) for n in whole)
-    product = np.asarray(rfft2(cells, size)) * np.asarray(rfft2(kernel, size))
-    rows, columns = (slice(n - 1, m) for n, m in zip(kernel.shape, cells.shape, strict=True))
-    return np.asarray(irfft2(product, size))[rows, columns]
 
 
 def _between(cells: Array, elements: int) -> Array:
@@ -372,27 +343,8 @@ def _between(cells: Array, elements: int) -> Array:
     return cells[low] * (1 - part) + cells[np.minimum(low + 1, len(cells) - 1)] * part
 
 
-@lru_cache(maxsize=16)
-def _diffracted(reach: int, half_side: float, share: float) -> Array:
-    """Wings ∝ r⁻³ outside a square of so many elements, per cell, summing to their share."""
-    place = WING_CELL * np.abs(_places(reach))
-    y, x = place[:, None], place[None]
-    return share * _per_cell(np.where(np.maximum(y, x) > half_side, np.hypot(y, x), np.inf) ** -3.0, reach)
-
-
-@lru_cache(maxsize=16)
-def _scattered(reach: int, step: float, slope: float) -> Array:
-    """ABg wings per cell of so many shoulders, summing to 1."""
-    place = _places(reach)
-    return _per_cell(1 / (1 + (step * np.hypot(place[:, None], place[None])) ** slope), reach)
-
-
-def _places(reach: int) -> Array:
-    """Samples over the cells to either side of the middle one. [cell]"""
-    return (np.arange((2 * reach + 1) * _PARTS) + 0.5) / _PARTS - 0.5 - reach
-
-
 def _per_cell(wings: Array, reach: int) -> Array:
+    """Sums of samples over cells, normalised to 1."""
     cells = 2 * reach + 1
     sums = wings.reshape(cells, _PARTS, cells, _PARTS).sum(axis=(1, 3))
     return sums / sums.sum()

@@ -1,11 +1,11 @@
-"""The navigator's errors of the reported pose, and the motion of the image while the shutter is open.
+"""The navigator's errors of the reported pose, and the motion of the image during an exposure.
 
 Errors are white, drifting and harmonic. The drift is a first-order Gauss–Markov process: exponentially
 correlated, of constant RMS (Maybeck, Stochastic Models, Estimation and Control, vol. 1, 1979, §4.11).
 
-The image's path over the exposure is that of the point on the optical axis, taken for the whole frame: right
-for turns of the line of sight and for flight over ground of one height; what a turn about the line of sight
-does to corners is left out.
+The image's path over the exposure is that of the point on the optical axis, used for the whole frame. That is
+exact for rotations of the line of sight and for flight over level ground; the effect of a rotation about the
+line of sight on the corners is left out.
 """
 
 import math
@@ -33,10 +33,8 @@ class PoseRms:
 
     Parameters
     ----------
-    position_m
-        Along each axis. [m]
-    roll_pitch_deg, heading_deg
-        Of roll and of pitch, and of heading. [deg]
+    position_m, roll_pitch_deg, heading_deg
+        Along each axis; of roll and of pitch; of heading. [m, deg, deg]
     """
 
     position_m: float = 0.0
@@ -50,13 +48,11 @@ class PoseRms:
         return np.array([*[self.position_m] * 3, *angles])
 
 
-# Typical of the class of airborne GPS/INS that Applanix sells as POS AV 510 and 610, post-processed; not
-# checked against the maker's sheet. Post-processed errors are slow, so all of it drifts here.
-PRESET_DRIFT = {
-    "pos-av-510": PoseRms(0.1, 0.005, 0.008),
-    "pos-av-610": PoseRms(0.1, 0.0025, 0.005),
-}
-JITTER_DEG, JITTER_HZ = 0.005, 11.0  # the preset `jitter`: RMS of each angle, and frequency
+# Typical of the class of Applanix POS AV 510 and 610, post-processed; not compared with the data sheet.
+# Post-processed errors are slow: all of them drift here.
+PRESET_DRIFT = {"pos-av-510": PoseRms(0.1, 0.005, 0.008), "pos-av-610": PoseRms(0.1, 0.0025, 0.005)}
+JITTER_DEG = 0.005  # RMS of each angle, for the preset `jitter`
+HARMONIC_HZ = 11.0  # frequency of the sine
 
 
 class NavigationDesign(Design):
@@ -65,32 +61,20 @@ class NavigationDesign(Design):
     Three parts add up: white from frame to frame, a drift with a correlation time, and a sine.
     """
 
-    preset: Literal["perfect", "pos-av-510", "pos-av-610", "jitter"] = Field(
-        default="perfect", description="What drift and sine are where their keys are left out"
-    )
+    preset: Literal["perfect", "pos-av-510", "pos-av-610", "jitter"] = "perfect"
+    """Drift and sine where their keys are left out."""
     position_rms_m: float = Field(default=0.0, ge=0, le=1000, description="White error, RMS along each axis")
-    roll_pitch_rms_deg: float = Field(
-        default=0.0, ge=0, le=10, description="White error, RMS of roll and of pitch"
-    )
+    roll_pitch_rms_deg: float = Field(default=0.0, ge=0, le=10)
+    """White error, RMS of roll and of pitch."""
     heading_rms_deg: float = Field(default=0.0, ge=0, le=10, description="White error, RMS of heading")
-    drift_position_rms_m: float | None = Field(
-        default=None, ge=0, le=1000, description="Gauss–Markov error, RMS along each axis"
-    )
-    drift_angle_rms_deg: float | None = Field(
-        default=None, ge=0, le=10, description="Gauss–Markov error, RMS of roll, of pitch and of heading"
-    )
-    drift_time_s: float = Field(
-        default=60.0, gt=0, le=1e5, description="Correlation time of the drift: 1/e of its covariance is left"
-    )
-    harmonic_angle_rms_deg: float | None = Field(
-        default=None, ge=0, le=10, description="Sine, RMS of roll, of pitch and of heading"
-    )
-    harmonic_hz: float = Field(default=JITTER_HZ, gt=0, le=1e4, description="Frequency of the sine")
-
-    @property
-    def white(self) -> PoseRms:
-        """White error."""
-        return PoseRms(self.position_rms_m, self.roll_pitch_rms_deg, self.heading_rms_deg)
+    drift_position_rms_m: float | None = Field(default=None, ge=0, le=1000)
+    """Gauss–Markov error, RMS along each axis."""
+    drift_angle_rms_deg: float | None = Field(default=None, ge=0, le=10)
+    """Gauss–Markov error, RMS of roll, of pitch and of heading."""
+    drift_time_s: float = Field(default=60.0, gt=0, le=1e5)
+    """Correlation time of the drift: 1/e of its covariance is left."""
+    harmonic_angle_rms_deg: float | None = Field(default=None, ge=0, le=10)
+    """Sine, RMS of roll, of pitch and of heading."""
 
     @property
     def drift(self) -> PoseRms:
@@ -120,10 +104,10 @@ def navigation_errors(
     design
         RMS of the three parts.
     times_s
-        Of the frames, rising. [s]
+        Times of the frames, rising. [s]
     rngs
-        One generator a frame: twelve normal deviates and six uniform ones are drawn from each whatever the
-        design, so that designs stay paired frame by frame.
+        One generator a frame: twelve normal deviates and six uniform ones are drawn from each for any design,
+        so that designs stay paired frame by frame.
 
     Returns
     -------
@@ -134,40 +118,29 @@ def navigation_errors(
         raise ValueError(f"`rngs` must hold one generator a frame, got {len(rngs)} for {len(times_s)}")
     normal = np.array([rng.standard_normal(12) for rng in rngs]).reshape(-1, 12)
     phase = np.array([rng.uniform(0, 2 * math.pi, 6) for rng in rngs]).reshape(-1, 6)
-    white = design.white.components * normal[:, :6]
+    white = PoseRms(design.position_rms_m, design.roll_pitch_rms_deg, design.heading_rms_deg)
     drift = design.drift.components * _gauss_markov(normal[:, 6:], times_s, design.drift_time_s)
-    # the first frame's phases hold for the whole flight
-    wave = math.sqrt(2) * np.sin(2 * math.pi * design.harmonic_hz * times_s[:, None] + phase[:1])
-    return white + drift + design.harmonic.components * wave
+    # the first frame's phases are those of the whole flight
+    wave = math.sqrt(2) * np.sin(2 * math.pi * HARMONIC_HZ * times_s[:, None] + phase[:1])
+    return white.components * normal[:, :6] + drift + design.harmonic.components * wave
 
 
 def navigate(true_pose: Pose, error: Float[Array, "6"]) -> Pose:
-    """The pose as the navigator reports it.
-
-    Parameters
-    ----------
-    true_pose
-        Where the camera is.
-    error
-        Of one frame, from `navigation_errors`. [m, rad]
-    """
+    """Reported pose: the true one with the error of one frame from `navigation_errors` [m, rad]."""
     changed = {n: getattr(true_pose, n) + float(e) for n, e in zip(COMPONENTS, error, strict=True)}
     return replace(true_pose, **changed, kind="reported")
 
 
 def _gauss_markov(deviates: Array, times_s: Array, correlation_s: float) -> Array:
     """Stationary process of unit variance with covariance e^(−|Δt|/τ), from independent deviates."""
-    out = np.empty_like(deviates)
-    for k, deviate in enumerate(deviates):
-        if k == 0:
-            out[k] = deviate
-            continue
-        kept = math.exp(-(times_s[k] - times_s[k - 1]) / correlation_s)
-        out[k] = kept * out[k - 1] + math.sqrt(1 - kept**2) * deviate
+    out = deviates.copy()
+    for k in range(1, len(out)):
+        memory = math.exp(-(times_s[k] - times_s[k - 1]) / correlation_s)
+        out[k] = memory * out[k - 1] + math.sqrt(1 - memory**2) * deviates[k]
     return out
 
 
-WORTH_ELEMENTS = 0.05  # a smaller RMS motion blurs less than a hundredth of the lens's spot
+MIN_MOTION_ELEMENTS = 0.05  # a smaller RMS motion blurs less than a hundredth of the lens's spot
 
 
 def image_motion(
@@ -191,30 +164,23 @@ def image_motion(
     ground_m
         Height of the ground on the optical axis. [m]
     samples
-        Instants over the exposure, each standing for an equal part of it.
+        Number of instants, evenly over the exposure.
 
     Returns
     -------
-    (row, column) of the point that is on the optical axis in mid-exposure. [element]
+    (row, column) of the point on the optical axis in mid-exposure. [element]
     """
     centre = pose_at(time_s)
     target = ground_points(camera, centre, camera.principal_point, ground_m)
-    if not np.isfinite(target).all():  # looking at the sky: something very far off
-        far = 1e6
-        target = ground_points(camera, centre, camera.principal_point, centre.up_m + far)
+    if not np.isfinite(target).all():  # looking at the sky: a very far point
+        target = ground_points(camera, centre, camera.principal_point, centre.up_m + 1e6)
     instants = time_s + integration_s * ((np.arange(samples) + 0.5) / samples - 0.5)
     path = np.array([project(camera, pose_at(t), target) for t in instants])
     return path - path.mean(axis=0)
 
 
 def motion_kernel(path: Float[Array, "sample 2"]) -> Float[Array, "row column"]:
-    """Blur kernel of a path, odd in size and of sum one, each instant shared between four elements.
-
-    Parameters
-    ----------
-    path
-        From `image_motion`. [element]
-    """
+    """Blur kernel of a path from `image_motion` [element]: odd in size, sum 1, bilinear."""
     reach = math.ceil(float(np.abs(path).max(initial=0.0)))
     kernel = np.zeros((2 * reach + 3, 2 * reach + 3))
     corner = np.floor(path).astype(int)
@@ -227,24 +193,24 @@ def motion_kernel(path: Float[Array, "sample 2"]) -> Float[Array, "row column"]:
 
 
 def smear(radiance: Radiance, path: Float[Array, "sample 2"]) -> Radiance:
-    """The light as the elements integrate it over the exposure: the same function, its frames blurred.
+    """Blur the frames of a radiance by the motion over the exposure.
 
     Parameters
     ----------
     radiance
-        ``radiance(channels)`` as `expose` takes it; single pixels (the spectrometer's) are left as they are.
+        ``radiance(channels)`` as for `expose`; single pixels (the spectrometer's) stay as they are.
     path
-        From `image_motion`; under `WORTH_ELEMENTS` nothing changes. [element]
+        From `image_motion`; under `MIN_MOTION_ELEMENTS` nothing changes. [element]
     """
-    if math.hypot(*np.std(path, axis=0)) < WORTH_ELEMENTS:
+    if math.hypot(*np.std(path, axis=0)) < MIN_MOTION_ELEMENTS:
         return radiance
     kernel = motion_kernel(path)
 
-    def moved(channels: Array, pixels: Array | None = None) -> xr.DataArray:
+    def blur(channels: Array, pixels: Array | None = None) -> xr.DataArray:
         if pixels is not None:
             return radiance(channels, pixels)
         light = radiance(channels)
         values = convolve(light.values, kernel[(...,) + (None,) * (light.ndim - 2)], mode="nearest")
         return light.copy(data=values)
 
-    return moved
+    return blur

@@ -103,12 +103,12 @@ def axis_at_incidence(angle_rad: ArrayLike, incidence_rad: ArrayLike, azimuth_ra
     """
     shortened = np.cos(incidence_rad)
 
-    def projected(angle: Array) -> Array:
+    def project(angle: Array) -> Array:
         from_plane = angle - azimuth_rad
         return np.arctan2(np.sin(from_plane), np.cos(from_plane) * shortened)
 
-    wires = projected(np.asarray(angle_rad, dtype=float) + np.pi / 2)
-    return wires - np.pi / 2 - projected(np.zeros(()))
+    wires = project(np.asarray(angle_rad, dtype=float) + np.pi / 2)
+    return wires - np.pi / 2 - project(np.zeros(()))
 
 
 def from_transmittances(
@@ -216,7 +216,7 @@ def _constant(design: SensorDesign) -> Polarizer:
     )
 
 
-def _solved(design: SensorDesign) -> Polarizer:
+def _from_solver(design: SensorDesign) -> Polarizer:
     """One of the paper's wire grids, from its solved table."""
     return from_table(wire_grid.load(design.polarizer), design.polarizer)
 
@@ -224,12 +224,12 @@ def _solved(design: SensorDesign) -> Polarizer:
 MODELS: dict[str, Callable[[SensorDesign], Polarizer]] = {
     "ideal": _ideal,
     "constant": _constant,
-    **{name: _solved for name in PAPER_GRIDS},
+    **{name: _from_solver for name in PAPER_GRIDS},
 }
 
 
 def load_polarizer(design: SensorDesign) -> Polarizer:
-    """The polarizer that a design names: one of `MODELS`, or a NetCDF file for `from_table`.
+    """Load the polarizer of a design: one of `MODELS`, or a NetCDF file for `from_table`.
 
     Raises
     ------

@@ -38,7 +38,7 @@ def analyser_response(
     Parameters
     ----------
     design, polarizer
-        The sensor, and what stands over the element.
+        The sensor, and the polarizer over the element.
     wavelength_um
         Grid; the polarizer must cover what the bare element responds to. [µm]
 
@@ -87,7 +87,7 @@ def electrons(design: SensorDesign, photon_integral_um2: float, time_ms: float) 
     return area_m2 * solid_angle * time_ms * 1e-3 * photons_per_joule
 
 
-def signed_weights(
+def photon_weights(
     wavelength_um: Float[Array, "wavelength"], response: Float[Array, "wavelength"]
 ) -> Float[Array, "wavelength"]:
     """Photon weights whose magnitudes sum to 1; the band mean, if the response is nowhere negative. [1]"""
@@ -101,7 +101,7 @@ def response_curves(design: SensorDesign, wavelength_um: Float[Array, "wavelengt
 
     Returns
     -------
-    ``bare``; with polarizers ``pass`` and ``block``, for light polarized as passes best and worst; with a
+    ``bare``; with polarizers ``pass`` and ``block``, for light of best and worst transmittance; with a
     mirror ``spectrometer``, zero outside its range. [1]
 
     Raises
@@ -129,11 +129,10 @@ def response_curves(design: SensorDesign, wavelength_um: Float[Array, "wavelengt
 def spectrometer_response(
     design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
 ) -> Float[Array, "wavelength"]:
-    """Lens × mirror × the spectrometer's quantum efficiency: the array's own, without its filter."""
-    free = design.model_copy(
-        update={"band_um": (float(wavelength_um[0]), float(wavelength_um[-1])), "response": None}
-    )
-    return design.mirror_throughput * element_response(free, wavelength_um)
+    """Lens × the spectrometer's quantum efficiency: the array's own, without its filter."""
+    band_um = float(wavelength_um[0]), float(wavelength_um[-1])
+    free = design.model_copy(update={"band_um": band_um, "response": None})
+    return element_response(free, wavelength_um)
 
 
 def spectrometer_bands(
@@ -141,8 +140,8 @@ def spectrometer_bands(
 ) -> tuple[Float[Array, "band"], Float[Array, "band wavelength"]]:
     """Centres of the spectrometer's bands, and their photon response on the grid.
 
-    A band is a detector pixel wide. A relay smears it by the slit's image, which is the mirror's and as wide:
-    a triangle of full width at half maximum of one band.
+    A band is as wide as a detector pixel. A relay convolves it with the mirror's image, which is as wide: a
+    triangle with a full width at half maximum of one band.
     """
     start, stop = design.spectrometer_um
     width = design.spectrometer_bandwidth_um

@@ -1,4 +1,4 @@
-"""A design made ready for one wavelength grid: what each element of a superpixel makes of light."""
+"""A design on one wavelength grid: channels, responsivities, lens and calibration of its elements."""
 
 import math
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.spectral import channel_weights
 from glintrack.devices import EtalonDesign, etalon
 from glintrack.sensor.design import SensorDesign
-from glintrack.sensor.fixed_pattern import FixedPattern, departure_at_incidence, fixed_pattern
+from glintrack.sensor.fixed_pattern import FixedPattern, build_fixed_pattern, departure_at_incidence
 from glintrack.sensor.layouts import analyser_matrix, condition_number, invert, pan_element, places
 from glintrack.sensor.lens import with_lens
 from glintrack.sensor.lens_kernels import LensKernels, lens_kernels
@@ -22,8 +22,8 @@ from glintrack.sensor.response import (
     electrons,
     element_response,
     photon_gain,
+    photon_weights,
     reference_light,
-    signed_weights,
     spectrometer_bands,
     spectrometer_response,
 )
@@ -36,42 +36,42 @@ _NOTHING = 1e-12  # of the bare response: rounding in an analyser row
 
 @dataclass(frozen=True)
 class Sensor:
-    """A design made ready for one wavelength grid.
+    """A design on one wavelength grid.
 
     Parameters
     ----------
     design
-        What the user asked for, its lens worked out.
+        The user's design, with the values of its lens prescription.
     camera
         Its geometry, in elements.
     wavelength_um
-        Grid of the radiance it is given. [µm]
+        Grid of the radiance. [µm]
     channels
-        Weights to ask the renderer for: pan first, then what the polarizers' analyser rows weigh, where that
-        has another shape. [1]
+        Spectral weights for the renderer: pan first, then those of the polarizers' analyser rows, where they
+        have another shape. [1]
     planes
-        (channel, Stokes component) of all that some element sees.
+        (channel, Stokes component) of all planes of light that some element responds to.
     element_gains
         Electrons of each element of the superpixel per unit of each plane.
     stokes_gains
-        Electrons of each element per unit of band-mean S0, S1 and S2 in light of the reference spectrum: what
-        its calibration knows.
+        Electrons of each element per unit of band-mean S0, S1 and S2 in light of the reference spectrum, as
+        calibrated.
     diattenuation
         Of the polarizers, for the reference spectrum, on average. [1]
     stokes_matrix
         (3, polarizer): from the polarizers' readings to S0, S1, S2; None without polarizers. [1]
     condition
-        Condition number of what that matrix inverts. [1]
+        Condition number of the matrix that it inverts. [1]
     kernels
-        Of each channel, on the light's own grid of one cell an element.
+        Lens kernels of each channel, on a grid of one cell an element.
     pattern
-        The elements' own gains and offsets, and what calibration knows of them.
+        The elements' own gains and offsets, true and calibrated.
     band_centre_um, band_weights, band_electrons_per_radiance
-        The spectrometer's bands: where, weights on the grid, electrons per unit of radiance. [µm, 1, e]
+        The spectrometer's bands: centres, weights on the grid, electrons per unit of radiance. [µm, 1, e]
     sweep_electrons
         If the mirrors are etalons: electrons at each gap of a sweep per unit of radiance in each band.
     exposure_part
-        This frame's exposure over the design's as given; see `auto_exposure`. [1]
+        This frame's exposure over the original design's; see `next_exposure_ms`. [1]
     """
 
     design: SensorDesign
@@ -92,12 +92,8 @@ class Sensor:
     sweep_electrons: Float[Array, "gap band"] | None = None
     exposure_part: float = 1.0
 
-    def column_of(self, enu: Float[Array, "point 3"], pose: Pose) -> Int[Array, "point"]:
-        """Column of superpixels in which ground points fall, −1 off the array."""
-        return self.superpixel_of(enu, pose)[:, 1]
-
     def superpixel_of(self, enu: Float[Array, "point 3"], pose: Pose) -> Int[Array, "point 2"]:
-        """(row, column) of the superpixel whose *mirror* sees each ground point, −1 off the array."""
+        """(row, column) of the superpixel with the *mirror* nearest to each point, −1 off the array."""
         element = project(self.camera, pose, np.asarray(enu, dtype=float).reshape(-1, 3))
         side = self.side
         index = np.round((np.nan_to_num(element, nan=-9.0) - np.array(self.mirror_element)) / side)
@@ -127,12 +123,12 @@ class Sensor:
 
     @property
     def mirror_element(self) -> tuple[int, int]:
-        """Where the micromirror stands in the superpixel; without one, the element that pan is read from."""
+        """(row, column) of the micromirror in the superpixel; without one, of the element of pan."""
         return self.pan_element or (0, 0)
 
     @property
     def pan_element(self) -> tuple[int, int] | None:
-        """The element whose reading is pan: the mirror, else an open one; None where pan is S0."""
+        """(row, column) of the element of pan: the mirror, else an open one; None where pan is S0."""
         return pan_element(self.design.superpixel)
 
 
@@ -146,9 +142,9 @@ def build_sensor(
     design
         The sensor.
     wavelength_um
-        Grid of the radiance it will be given, covering its bands. [µm]
+        Grid of the radiance, covering its bands. [µm]
     polarizer
-        What stands over its elements instead of what the design names.
+        Polarizer over its elements; the design's by default.
 
     Raises
     ------
@@ -177,30 +173,23 @@ def build_sensor(
         if design.stokes == "fesenkov":
             matrix = invert(analyser_matrix(design.superpixel, 1.0))
     centres, bands = spectrometer_bands(design, wavelength_um)
-    width = design.spectrometer_bandwidth_um
-    time_ms = design.spectrometer_integration_time_ms
+    width, time_ms = design.spectrometer_bandwidth_um, design.spectrometer_integration_time_ms
     efficiency = np.interp(centres, wavelength_um, spectrometer_response(design, wavelength_um))
     if design.has_mirror and not np.all(efficiency > 0):
         raise ValueError(
             "`sensor.spectrometer_um` must lie where the detector responds, got no response at "
             f"{centres[efficiency <= 0][0]:g} µm (see quantum_efficiency)"
         )
+    size, distortion = (design.rows, design.columns), design.optics.distortion
+    slant = departure_at_incidence(design, polarizer, wavelength_um, elements["channels"][0])
     return Sensor(
         design=design,
-        camera=Camera(
-            design.focal_length_m,
-            design.pitch_m,
-            design.rows,
-            design.columns,
-            distortion=design.optics.distortion,
-        ),
+        camera=Camera(design.focal_length_m, design.pitch_m, *size, distortion=distortion),
         wavelength_um=wavelength_um,
         stokes_matrix=matrix,
         condition=condition,
         kernels=lens_kernels(design, wavelength_um, elements["channels"]),
-        pattern=fixed_pattern(
-            design, departure_at_incidence(design, polarizer, wavelength_um, elements["channels"][0])
-        ),
+        pattern=build_fixed_pattern(design, slant),
         band_centre_um=centres,
         band_weights=channel_weights(wavelength_um, bands),
         band_electrons_per_radiance=np.array(
@@ -227,9 +216,9 @@ def _sweep_electrons(design: SensorDesign, centres_um: Array, efficiency: Array)
 
 
 def _elements(design: SensorDesign, polarizer: Polarizer, wavelength_um: Array) -> dict[str, Any]:
-    """Channels and planes of light, and what each element of the superpixel makes of them."""
+    """Channels and planes of light, and the response of each element of the superpixel to them."""
     bare = element_response(design, wavelength_um)
-    channels = [signed_weights(wavelength_um, bare)]
+    channels = [photon_weights(wavelength_um, bare)]
     light = reference_light(design, wavelength_um)
     mean = channels[0] @ light
     if not mean > 0:
@@ -239,14 +228,16 @@ def _elements(design: SensorDesign, polarizer: Polarizer, wavelength_um: Array) 
         if np.abs(curve).max() <= _NOTHING * bare.max():
             own.append((0, 0.0))
             continue
-        channel, sign = _channel_of(channels, signed_weights(wavelength_um, curve))
+        channel, sign = _channel_of(channels, photon_weights(wavelength_um, curve))
         own.append((channel, sign * photon_gain(design, wavelength_um, np.abs(curve))))
     rows = {}  # element -> plane -> electrons
     for i, row in enumerate(design.superpixel):
         for j, what in enumerate(row):
             bare_row = {(0, 0): photon_gain(design, wavelength_um, bare)}
-            rows[i, j] = bare_row if isinstance(what, str) else _turned(own, 2 * math.radians(what))
-    planes = _planes({plane for gains in rows.values() for plane, gain in gains.items() if gain})
+            rows[i, j] = bare_row if isinstance(what, str) else _rotate_row(own, 2 * math.radians(what))
+    seen = {plane for gains in rows.values() for plane, gain in gains.items() if gain}
+    # Q and U of a channel always both: an element whose axis is off mixes them
+    planes = tuple(sorted({(c, k) for c, part in seen for k in ((0,) if part == 0 else (1, 2))}))
     side = len(design.superpixel)
     gains = np.array([[[rows[i, j].get(p, 0.0) for p in planes] for j in range(side)] for i in range(side)])
     known = np.zeros((side, side, 3))  # electrons of the reference light, were it all I, Q or U
@@ -266,8 +257,8 @@ def _elements(design: SensorDesign, polarizer: Polarizer, wavelength_um: Array) 
     }
 
 
-def _turned(own: list[tuple[int, float]], angle: float) -> dict[tuple[int, int], float]:
-    """Electrons per plane with the pass axis turned by half an angle; see `stokes.rotation_mueller`."""
+def _rotate_row(own: list[tuple[int, float]], angle: float) -> dict[tuple[int, int], float]:
+    """Electrons per plane with the pass axis rotated by half an angle; see `stokes.rotation_mueller`."""
     (total, t), (along, q), (slanted, u) = own
     cos2, sin2, found = math.cos(angle), -math.sin(angle), {(total, 0): t}
     rotated = rotate_qu.py_func  # of a few numbers: not worth compiling
@@ -278,7 +269,7 @@ def _turned(own: list[tuple[int, float]], angle: float) -> dict[tuple[int, int],
 
 
 def _channel_of(channels: list[Array], weights: Array) -> tuple[int, float]:
-    """Which channel has these weights but for their sign, and the sign; a new one is added."""
+    """Index of the channel with these weights up to their sign, and the sign; add it if it is new."""
     for k, known in enumerate(channels):
         for sign in (1.0, -1.0):
             if np.allclose(weights, sign * known, rtol=1e-9, atol=1e-12):
@@ -287,24 +278,13 @@ def _channel_of(channels: list[Array], weights: Array) -> tuple[int, float]:
     return len(channels) - 1, 1.0
 
 
-def _planes(seen: set[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """Planes in order, Q and U of a channel always both: an element whose axis is off mixes them."""
-    both = {(channel, component) for channel, part in seen for component in ((0,) if part == 0 else (1, 2))}
-    return tuple(sorted(both))
-
-
-def dark_noise_e(sensor: Sensor) -> float:
-    """RMS of dark current, read and quantizer noise of one element. [e]"""
-    return sensor.design.dark_noise_e
-
-
 def noise_equivalent_radiance(sensor: Sensor) -> float:
     """RMS of the dark noise (dark current, read, quantizer) of a bare element. [W m⁻² sr⁻¹ µm⁻¹]"""
-    return dark_noise_e(sensor) / sensor.electrons_per_radiance
+    return sensor.design.dark_noise_e / sensor.electrons_per_radiance
 
 
 def summary(sensor: Sensor) -> list[tuple[str, str]]:
-    """Name and value of what follows from a design: resolution, electrons, noise, polarizers, transfer."""
+    """Names and values of derived quantities: resolution, electrons, noise, polarizers, transfer."""
     design = sensor.design
     reading = sensor.electrons_per_radiance
     full, half = design.full_well_e / reading, design.full_well_e / 2
@@ -319,8 +299,8 @@ def summary(sensor: Sensor) -> list[tuple[str, str]]:
         ("electrons per W m⁻² sr⁻¹ µm⁻¹", f"{reading:.1f}"),
         ("radiance that fills the well", f"{full:.1f} W m⁻² sr⁻¹ µm⁻¹"),
         ("noise in the dark", f"{noise_equivalent_radiance(sensor):.3g} W m⁻² sr⁻¹ µm⁻¹"),
-        ("", f"{dark_noise_e(sensor):.1f} e"),
-        ("signal to noise, half full", f"{half / math.sqrt(half + dark_noise_e(sensor) ** 2):.0f}"),
+        ("", f"{design.dark_noise_e:.1f} e"),
+        ("signal to noise, half full", f"{half / math.sqrt(half + design.dark_noise_e**2):.0f}"),
         ("MTF at Nyquist", f"{transfer:.3f} at {nyquist[0]:.1f} mm⁻¹ and {middle:.2f} µm"),
         ("light on the element it belongs to", f"{kernel.at(node, node).max():.3f}"),
     ]

@@ -1,10 +1,10 @@
-"""The multi-object spectrometer: which queries get a micromirror, and the spectra they bring back.
+"""The multi-object spectrometer: assignment of queries to micromirrors, and the spectra of served queries.
 
-One pixel per column: a mirror's spectrum is spread along its column of the spectrometer's detector, so a
-second one in the same column would fall on it. Queries are served while a frame is exposed, and a mirror that
-serves is dark in its pan; or the tracker asks of what it saw in a frame, and mirrors turn for a second
-exposure of the same scene (`track.query_detections`). Where the mirrors are etalons instead, the pixel below
-each takes its own spectrum by a sweep of the gap, and columns do not matter.
+One pixel per column: a mirror's spectrum is spread along its column of the spectrometer's detector, where it
+would overlap with a second one. Queries are served while a frame is exposed, and a mirror that serves is dark
+in pan. Alternatively the tracker queries detections of a frame, and mirrors switch for a second exposure of
+the same scene (`track.query_detections`). Where the mirrors are etalons, the pixel below each measures its
+own spectrum by a sweep of the gap, and columns do not matter.
 """
 
 import numpy as np
@@ -19,22 +19,22 @@ from glintrack.devices import etalon
 from glintrack.sensor.sensor import Sensor
 
 FULL_WELL_E = 2e6  # of a band's pixel, several reads added up
-SPREAD_ELEMENTS = 2  # of the point spread to either side that a spectrum is made of
+SPREAD_ELEMENTS = 2  # of the point spread to either side that contribute to a spectrum
 
 
 def serve(queries: tuple[SpectralQuery, ...], sensor: Sensor, reported_pose: Pose) -> ServedQueries:
-    """Turn ground points into micromirrors through the *reported* pose, highest priority first.
+    """Assign ground points to micromirrors by the *reported* pose, highest priority first.
 
     Parameters
     ----------
     queries
-        The tracker's wishes for this frame.
+        The tracker's queries for this frame.
     sensor, reported_pose
-        Where the navigator says the camera is.
+        The sensor, and the navigator's pose.
 
     Returns
     -------
-    The mirror of each query, or why it was refused.
+    The mirror of each query, or the reason of its refusal.
     """
     count = len(queries)
     rows, columns = np.full(count, -1), np.full(count, -1)
@@ -74,69 +74,56 @@ def measure_spectra(
 
     Returns
     -------
-    Schema ``spectra``, one row a query in the order asked; NaN where refused.
+    Schema ``spectra``, one row a query in the same order; NaN where refused.
     """
     count, bands = len(served.queries), len(sensor.band_centre_um)
     spectrum = np.full((count, bands), np.nan)
     noise = np.full((count, bands), np.nan)
-    on, sweep = served.is_served, sensor.sweep_electrons
+    on, sweep, read_e = served.is_served, sensor.sweep_electrons, sensor.design.read_noise_e
     if on.any():
         light = _through_lens(served.rows[on], served.columns[on], radiance, sensor)
-        spectrum[on], noise[on] = (
-            _dispersed(light, sensor, rng) if sweep is None else _swept(light, sweep, sensor, rng)
-        )
-    query_dims = ("query", "wavelength")
+        gain = sensor.band_electrons_per_radiance
+        expected_e = light * gain if sweep is None else light @ sweep.T
+        light_e = rng.poisson(np.clip(expected_e, 0, 10 * FULL_WELL_E))
+        electrons = np.minimum(light_e, FULL_WELL_E).astype(float)
+        electrons = electrons + read_e * rng.standard_normal(electrons.shape)
+        if sweep is None:
+            spectrum[on] = electrons / gain
+            noise[on] = np.sqrt(np.maximum(electrons, 0) + read_e**2) / gain
+        else:  # inverted with smoothing
+            sigma = np.sqrt(np.maximum(electrons, 1) + read_e**2)
+            found = etalon.reconstruct(electrons, sweep, sensor.band_centre_um, sigma)
+            spectrum[on], noise[on] = found["radiance"].values, found["radiance_sigma"].values
+    queries, query_dims = served.queries, ("query", "wavelength")
     dataset = xr.Dataset(
         {
             "radiance": (query_dims, spectrum, {"units": RADIANCE}),
             "noise": (query_dims, noise, {"units": RADIANCE}),
-            "served": (("query",), on.astype(np.int8), {"units": "1"}),
-            "track_id": (("query",), np.array([q.track_id for q in served.queries], int), {"units": "1"}),
-            "east": (("query",), np.array([q.east_m for q in served.queries], float), {"units": "m"}),
-            "north": (("query",), np.array([q.north_m for q in served.queries], float), {"units": "m"}),
+            "served": ("query", on.astype(np.int8), {"units": "1"}),
+            "track_id": ("query", np.array([q.track_id for q in queries], int), {"units": "1"}),
+            "east": ("query", np.array([q.east_m for q in queries], float), {"units": "m"}),
+            "north": ("query", np.array([q.north_m for q in queries], float), {"units": "m"}),
         },
         coords={"wavelength": ("wavelength", sensor.band_centre_um, {"units": "um"})},
     )
     return check(dataset, "spectra")
 
 
-def _dispersed(light: Array, sensor: Sensor, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Spectra (query, band) and their noise from the grating spectrometer."""
-    gain, read_e = sensor.band_electrons_per_radiance, sensor.design.read_noise_e
-    electrons = _collect(light * gain, sensor, rng)
-    return electrons / gain, np.sqrt(np.maximum(electrons, 0) + read_e**2) / gain
-
-
-def _swept(light: Array, weights: Array, sensor: Sensor, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Spectra (query, band) and their noise from sweeps of the etalon's gap, inverted with smoothing."""
-    readings = _collect(light @ weights.T, sensor, rng)
-    sigma = np.sqrt(np.maximum(readings, 1) + sensor.design.read_noise_e**2)
-    found = etalon.reconstruct(readings, weights, sensor.band_centre_um, sigma)
-    return found["radiance"].values, found["radiance_sigma"].values
-
-
-def _collect(expected_e: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
-    """Electrons with shot and read noise, no more than the spectrometer's pixel holds."""
-    light_e = rng.poisson(np.clip(expected_e, 0, 10 * FULL_WELL_E))
-    electrons = np.minimum(light_e, FULL_WELL_E).astype(float)
-    return electrons + sensor.design.read_noise_e * rng.standard_normal(electrons.shape)
-
-
 def fill_dark_mirrors(
     frame: xr.Dataset, served: ServedQueries, spectra: xr.Dataset, sensor: Sensor
 ) -> xr.Dataset:
-    """The same frame with pan where mirrors were away, as the design says; what is filled is an estimate.
+    """Fill pan at mirrors that fed the spectrometer with an estimate by the design's method.
 
     Parameters
     ----------
     frame
-        From `focalplane.expose`.
+        From `expose`.
     served, spectra
         Of the same frame, from `serve` and `measure_spectra`.
     sensor
-        Its design names the way: ``"spectrum"`` integrates what the mirror sent to the spectrometer over
-        the pan band; ``"interpolate"`` takes the mean of the mirrors beside it; ``"polarizers"`` takes S0 of
-        the same superpixel; ``"none"`` leaves the frame as it is.
+        Its design names the method: ``"spectrum"`` integrates the mirror's spectrum over the pan band;
+        ``"interpolate"`` is the mean of the neighbouring mirrors; ``"polarizers"`` is S0 of the same
+        superpixel; ``"none"`` returns the frame unchanged.
     """
     way, on = sensor.design.fill_dark_mirrors, served.is_served
     if way == "none" or not on.any():
@@ -144,7 +131,8 @@ def fill_dark_mirrors(
     pan = frame["pan"].values.copy()
     rows, columns = served.rows[on], served.columns[on]
     if way == "spectrum":
-        pan[rows, columns] = spectra["radiance"].values[on] @ _pan_from_bands(sensor)
+        response = np.interp(sensor.band_centre_um, sensor.wavelength_um, sensor.pan_weights[0])
+        pan[rows, columns] = spectra["radiance"].values[on] @ (response / response.sum())
     elif way == "polarizers":
         pan[rows, columns] = frame["stokes_radiance"].values[rows, columns, 0]
     else:
@@ -155,14 +143,7 @@ def fill_dark_mirrors(
         known = np.isfinite(around)
         total = np.where(known, around, 0).sum(axis=0)
         pan[rows, columns] = np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
-    filled = frame["pan"].copy(data=pan.astype(np.float32))
-    return frame.assign(pan=filled)
-
-
-def _pan_from_bands(sensor: Sensor) -> Array:
-    """Weights of the spectrometer's bands whose sum is the pan band's mean: pan's response on each band."""
-    response = np.interp(sensor.band_centre_um, sensor.wavelength_um, sensor.pan_weights[0])
-    return response / response.sum()
+    return frame.assign(pan=frame["pan"].copy(data=pan.astype(np.float32)))
 
 
 def _through_lens(rows: Array, columns: Array, radiance: Radiance, sensor: Sensor) -> Array:
@@ -172,7 +153,7 @@ def _through_lens(rows: Array, columns: Array, radiance: Radiance, sensor: Senso
     full = kernel.at(middle, middle)
     half = min(kernel.half_width, SPREAD_ELEMENTS)
     inner = slice(kernel.half_width - half, kernel.half_width + half + 1)
-    weight = full[inner, inner][::-1, ::-1].ravel()  # light from an element goes the other way to ours
+    weight = full[inner, inner][::-1, ::-1].ravel()  # reversed: light from an element to the mirror
     side = sensor.side
     centre = side * np.stack([rows, columns], axis=1) + np.array(sensor.mirror_element)
     offset = np.arange(-half, half + 1)

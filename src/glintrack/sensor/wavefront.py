@@ -1,10 +1,11 @@
 """The lens: wavefront, point spread and modulation transfer, per wavelength and place in the field.
 
-Scalar diffraction at the pupil with Zernike aberrations and defocus, a Gaussian spot for what no polynomial
-was given for, and the polynomials' growth over the field.
+Scalar diffraction at the pupil with Zernike aberrations and defocus, and a Gaussian spot for all other
+aberrations; coefficients may vary over the field.
 """
 
 import math
+from collections import Counter
 
 import numpy as np
 import xarray as xr
@@ -35,11 +36,11 @@ def pupil(
     design
         The sensor.
     wavelength_um
-        Of the light. [µm]
+        Wavelength of the light. [µm]
     field
-        (right, up) from the optical axis, as a part of the distance to the corner. [1]
+        (right, up) from the optical axis, relative to the distance of the corner. [1]
     samples
-        Across the pupil's diameter.
+        Samples across the pupil's diameter.
     error_um
         Its `wavefront_um`, if that is known already. [µm]
 
@@ -48,9 +49,14 @@ def pupil(
     ValueError
         If no light passes the pupil.
     """
-    amplitude = _amplitude(design.optics.obscuration, samples)
+    # the open share of each sample, soft at the edges
+    step, obscuration = 2 / (samples - 1), design.optics.obscuration
+    fine = ((np.arange(samples * EDGE_SAMPLES) + 0.5) / EDGE_SAMPLES - 0.5) * step - 1
+    square = (fine**2)[:, None] + (fine**2)[None]
+    inside = (square <= 1) & (square >= obscuration**2)
+    amplitude = inside.reshape(samples, EDGE_SAMPLES, samples, EDGE_SAMPLES).mean(axis=(1, 3))
     if not amplitude.sum() > 0:
-        raise ValueError(f"`pupil` must pass light, got obscuration {design.optics.obscuration}")
+        raise ValueError(f"`pupil` must pass light, got obscuration {obscuration}")
     if error_um is None:
         error_um = wavefront_um(design, field, samples)
     return amplitude * np.exp(2j * math.pi * error_um / wavelength_um)
@@ -92,7 +98,7 @@ def zernike(index: int, radius: Float[Array, "..."], azimuth: Float[Array, "..."
 def wavefront_um(
     design: SensorDesign, field: tuple[float, float] = (0.0, 0.0), samples: int = PUPIL_SAMPLES
 ) -> Float[Array, "s s"]:
-    """Optical path error over the pupil's square; only inside the pupil does it mean anything. [µm]
+    """Optical path error over the pupil's square; meaningful only inside the pupil. [µm]
 
     Notes
     -----
@@ -103,14 +109,12 @@ def wavefront_um(
     across_pupil = np.linspace(-1, 1, samples)
     x, y = np.meshgrid(across_pupil, across_pupil)
     r, t = np.hypot(x, y), np.arctan2(y, x)
-    terms = dict(optics.zernike_rms_nm)
-    # a detector behind focus by δ has the path error δ/(8N²) at the pupil's edge, whose RMS is 1/√12 of it
-    added = {_DEFOCUS: 1e3 * optics.defocus_um / (8 * design.f_number**2) / math.sqrt(12)}
+    # a detector behind focus by δ has the path error δ/(8N²) at the pupil's edge, and an RMS of 1/√12 of it
+    added = Counter({_DEFOCUS: 1e3 * optics.defocus_um / (8 * design.f_number**2) / math.sqrt(12)})
     for node, share in _nodes_at(design, field):
-        for index, value in node.items():
-            added[index] = added.get(index, 0.0) + share * value
-    for index, value in added.items():
-        terms[index] = terms.get(index, 0.0) + value
+        added.update({index: share * value for index, value in node.items()})
+    terms = Counter(optics.zernike_rms_nm)
+    terms.update(added)
     error = np.zeros_like(r)
     for index, value in terms.items():
         if value:
@@ -119,7 +123,7 @@ def wavefront_um(
 
 
 def _nodes_at(design: SensorDesign, field: tuple[float, float]) -> list[tuple[dict[int, float], float]]:
-    """Nodes of ``field_zernikes_rms_nm`` about a place, and how much of each. [nm, 1]"""
+    """Nodes of ``field_zernikes_rms_nm`` about a place, and their weights. [nm, 1]"""
     nodes = design.optics.field_zernikes_rms_nm
     if not nodes:
         return []
@@ -149,26 +153,26 @@ def point_spread(
     design, wavelength_um, field
         As `pupil`.
     step_um, samples
-        Grid of the answer, square, centred; rows run down the image. [µm]
+        Grid of the result, square, centred; rows run down the image. [µm]
 
     Returns
     -------
     Irradiance of a point's image per power in it. [µm⁻²]
     """
-    spread = diffracted(design, pupil(design, wavelength_um, field), wavelength_um, step_um, samples)
+    spread = diffraction_pattern(design, pupil(design, wavelength_um, field), wavelength_um, step_um, samples)
     if design.spot_sigma_um > 0:
         spread = gaussian_filter(spread, design.spot_sigma_um / step_um, mode="constant")
     return spread
 
 
-def diffracted(
+def diffraction_pattern(
     design: SensorDesign,
     passing: Complex[Array, "p p"],
     wavelength_um: float,
     step_um: float,
     samples: int,
 ) -> Float[Array, "s s"]:
-    """Point spread of a pupil alone, without the spot; arguments as `point_spread`. [µm⁻²]"""
+    """Point spread of a pupil without the Gaussian spot; arguments as `point_spread`. [µm⁻²]"""
     # pupil sample × image sample over λN, with the pupil's diameter as the unit of length in the pupil
     place = (np.arange(len(passing)) - len(passing) // 2) / (len(passing) - 1)
     image = (np.arange(samples) - samples // 2) * step_um / (wavelength_um * design.f_number)
@@ -196,11 +200,11 @@ def modulation_transfer(
     design, wavelength_um, field
         As `pupil`.
     frequency_per_mm
-        On the detector. [mm⁻¹]
+        Spatial frequency on the detector. [mm⁻¹]
     direction
         ``"x"`` (along a row) or ``"y"``.
     element
-        Whether to multiply by the |sinc| of the element's active width.
+        Multiply by the |sinc| of the element's active width.
 
     References
     ----------
@@ -229,11 +233,12 @@ def transfer_curves(design: SensorDesign) -> xr.Dataset:
     """Modulation transfer in the middle and in the corner, at the middle of the band. [1]"""
     wavelength_um = sum(design.band_um) / 2
     frequency = np.linspace(0, 1.2e3 / design.pitch_um, _FREQUENCIES)
-    corner = (design.columns, design.rows)
-    size = math.hypot(*corner)
-    field = (corner[0] / size, corner[1] / size)
+    size = math.hypot(design.columns, design.rows)
+    field = (design.columns / size, design.rows / size)
+    open_pupil = type(design.optics)(obscuration=design.optics.obscuration)
+    perfect = design.model_copy(update={"spot_sigma_um": 0.0, "optics": open_pupil})
     curves = {
-        "diffraction": modulation_transfer(_perfect(design), wavelength_um, frequency, element=False),
+        "diffraction": modulation_transfer(perfect, wavelength_um, frequency, element=False),
         "lens": modulation_transfer(design, wavelength_um, frequency, element=False),
         "lens and element": modulation_transfer(design, wavelength_um, frequency),
         "in the corner, across": modulation_transfer(design, wavelength_um, frequency, "x", field),
@@ -244,11 +249,6 @@ def transfer_curves(design: SensorDesign) -> xr.Dataset:
         coords={"frequency": ("frequency", frequency, {"units": "mm-1"})},
         attrs={"nyquist_per_mm": 500 / design.pitch_um, "wavelength_um": wavelength_um},
     )
-
-
-def _perfect(design: SensorDesign) -> SensorDesign:
-    open_pupil = type(design.optics)(obscuration=design.optics.obscuration)
-    return design.model_copy(update={"spot_sigma_um": 0.0, "optics": open_pupil})
 
 
 def relative_illumination(
@@ -271,12 +271,3 @@ def relative_illumination(
     if design.optics.relative_illumination == "cos4":
         light = light / (1 + square / design.focal_length_mm**2) ** 2
     return light
-
-
-def _amplitude(obscuration: float, samples: int) -> Array:
-    """Open part of each sample of the pupil's square, soft at the edges."""
-    step = 2 / (samples - 1)
-    fine = (np.arange(samples * EDGE_SAMPLES) + 0.5) / EDGE_SAMPLES - 0.5
-    square = ((fine * step - 1) ** 2)[:, None] + ((fine * step - 1) ** 2)[None]
-    inside = (square <= 1) & (square >= obscuration**2)
-    return inside.reshape(samples, EDGE_SAMPLES, samples, EDGE_SAMPLES).mean(axis=(1, 3))

@@ -25,22 +25,17 @@ class ActuatorDesign(Design):
     """Springs and electrodes; the ``[actuator]`` table of a micromirror."""
 
     spring_n_per_m: float = Field(default=0.35, gt=0, le=1e4, description="Stiffness of each spring")
-    spring_radius_um: float = Field(
-        default=4.0, gt=0, le=1000, description="Of the circle on which the springs hold the plate"
-    )
-    leg_radius_um: float = Field(
-        default=1.0, gt=0, le=1000, description="Of the spot where a spring joins the plate"
-    )
+    spring_radius_um: float = Field(default=4.0, gt=0, le=1000)
+    """Of the circle on which the springs hold the plate."""
+    leg_radius_um: float = Field(default=1.0, gt=0, le=1000)
+    """Of the spot where a spring joins the plate."""
     electrode_area_um2: float = Field(default=30.0, gt=0, le=1e6, description="Area of each electrode")
-    electrode_radius_um: float = Field(
-        default=4.0, gt=0, le=1000, description="Of the circle on which the electrodes' middles lie"
-    )
-    electrode_gap_um: float = Field(
-        default=1.5, gt=0.01, le=100, description="Plate to electrodes without voltage"
-    )
-    quality_factor: float | None = Field(
-        default=None, gt=0.05, le=1e6, description="Of every mode [default: squeezed air film]"
-    )
+    electrode_radius_um: float = Field(default=4.0, gt=0, le=1000)
+    """Of the circle on which the electrodes' middles lie."""
+    electrode_gap_um: float = Field(default=1.5, gt=0.01, le=100)
+    """Plate to electrodes without voltage."""
+    quality_factor: float | None = Field(default=None, gt=0.05, le=1e6)
+    """Of every mode [default: squeezed air film]."""
 
     gap_m = property(lambda self: self.electrode_gap_um * 1e-6)
     electrode_area_m2 = property(lambda self: self.electrode_area_um2 * 1e-12)
@@ -56,22 +51,19 @@ class PlateDesign(Design):
     youngs_modulus_gpa: float = Field(default=70.0, gt=0, le=2000)
     poisson_ratio: float = Field(default=0.35, ge=0, lt=0.5)
     density_kg_m3: float = Field(default=2700.0, gt=0, le=30000)
-    expansion_per_mk: float = Field(
-        default=23.1, description="Linear expansion per million kelvin, i.e. in 10⁻⁶ K⁻¹", ge=-100, le=1000
-    )
+    expansion_per_mk: float = Field(default=23.1, ge=-100, le=1000)
+    """Linear expansion per million kelvin, i.e. in 10⁻⁶ K⁻¹."""
     conductivity_w_m_k: float = Field(default=237.0, gt=0, le=5000, description="Of heat")
     resistivity_nohm_m: float = Field(default=28.1, gt=0, le=1e12, description="Electrical, not heated")
-    resistivity_growth_per_k: float = Field(
-        default=0.0039, ge=0, le=1, description="Relative growth of the resistivity with temperature"
-    )
+    resistivity_growth_per_k: float = Field(default=0.0039, ge=0, le=1)
+    """Relative growth of the resistivity with temperature."""
     film_thickness_nm: float = Field(default=30.0, ge=0, le=1e5, description="Of the mirror film on top")
     film_youngs_modulus_gpa: float = Field(default=83.0, gt=0, le=2000)
     film_poisson_ratio: float = Field(default=0.37, ge=0, lt=0.5)
     film_density_kg_m3: float = Field(default=10490.0, gt=0, le=30000)
     film_expansion_per_mk: float = Field(default=18.9, ge=-100, le=1000, description="In 10⁻⁶ K⁻¹")
-    film_stress_mpa: float = Field(
-        default=0.0, ge=-5000, le=5000, description="Built in, tension positive, before the plate bends"
-    )
+    film_stress_mpa: float = Field(default=0.0, ge=-5000, le=5000)
+    """Built in, tension positive, before the plate bends."""
 
     side_m = property(lambda self: self.side_um * 1e-6)
 
@@ -81,9 +73,8 @@ class SurfaceDesign(Design):
 
     roughness_nm: float = Field(default=1.0, ge=0, le=200, description="RMS height, spatial periods > λ")
     correlation_length_um: float = Field(default=2.0, gt=0, le=1000, description="Of the height")
-    rolloff: float = Field(
-        default=2.0, gt=1, le=6, description="Log-log slope of the scatter beyond its shoulder, the g of ABg"
-    )
+    rolloff: float = Field(default=2.0, gt=1, le=6)
+    """Log-log slope of the scatter beyond its shoulder, the g of ABg."""
     reflectance: float = Field(default=0.96, ge=0, le=1, description="Share of light that is not absorbed")
 
 
@@ -93,21 +84,17 @@ _Voltage = Annotated[float, Field(ge=-1e4, le=1e4)]
 class DriveDesign(Design):
     """Voltages, current and light on the mirror; the ``[drive]`` table."""
 
-    voltages_v: tuple[_Voltage, _Voltage, _Voltage] = Field(
-        default=(25.0, 25.0, 25.0), description="On the electrodes at 90°, 210° and 330°"
-    )
+    voltages_v: tuple[_Voltage, _Voltage, _Voltage] = (25.0, 25.0, 25.0)
+    """On the electrodes at 90°, 210° and 330°."""
     current_ma: float = Field(default=0.0, ge=0, le=1000, description="Into spring 1, out of 2 and 3")
     irradiance_w_m2: float = Field(default=100.0, ge=0, le=1e8, description="Of all light on the plate")
-    leg_conductance_uw_k: float = Field(
-        default=2.0, gt=0, le=1e6, description="Heat that each spring carries per kelvin"
-    )
-    air_conductivity_w_m_k: float = Field(
-        default=0.026, ge=0, le=10, description="Of the gas in the gap; 0 for vacuum"
-    )
+    leg_conductance_uw_k: float = Field(default=2.0, gt=0, le=1e6)
+    """Heat that each spring carries per kelvin."""
+    air_conductivity_w_m_k: float = Field(default=0.026, ge=0, le=10)
+    """Of the gas in the gap; 0 for vacuum."""
     frame_time_ms: float = Field(default=100.0, gt=0, le=1e5, description="In which the mirror must settle")
-    settled_share: float = Field(
-        default=0.02, gt=0, lt=1, description="Of the step that may be left when it counts as settled"
-    )
+    settled_share: float = Field(default=0.02, gt=0, lt=1)
+    """Of the step that may be left when it counts as settled."""
 
 
 class MicromirrorDesign(Design):

@@ -14,21 +14,12 @@ _LONG_WAVES_UM = 0.8  # from here on fewer and simpler elements reach the same a
 class FemDesign(Design):
     """Accuracy of the finite elements; the ``[fem]`` table of a grid's design."""
 
-    order: int | None = Field(
-        default=None, ge=1, le=10, description="Polynomial order [default: 5 below 0.8 µm, 4 above]"
-    )
-    wire_element_nm: float | None = Field(
-        default=None,
-        ge=0.5,
-        le=200,
-        description="Longest edge in a wire [default: 10 below 0.8 µm, 14 above]",
-    )
-    air_element_um: float | None = Field(
-        default=None,
-        ge=0.02,
-        le=1,
-        description="Longest edge elsewhere [default: 0.2 below 0.8 µm, 0.3 above]",
-    )
+    order: int | None = Field(default=None, ge=1, le=10)
+    """Polynomial order [default: 5 below 0.8 µm, 4 above]."""
+    wire_element_nm: float | None = Field(default=None, ge=0.5, le=200)
+    """Longest edge in a wire [default: 10 below 0.8 µm, 14 above]."""
+    air_element_um: float | None = Field(default=None, ge=0.02, le=1)
+    """Longest edge elsewhere [default: 0.2 below 0.8 µm, 0.3 above]."""
 
     def order_at(self, wavelength_um: float) -> int:
         """Polynomial order at a wavelength: short waves need the higher one."""
@@ -51,20 +42,14 @@ class WireGridDesign(Design):
 
     period_nm: float = Field(default=500.0, gt=0, le=5000, description="Spacing d of the wires")
     wire_width_nm: float = Field(default=100.0, gt=0, le=5000, description="At half the wire's height")
-    wire_height_nm: float = Field(
-        default=100.0, gt=0, le=2000, description="Of wires and plate, along the light"
-    )
-    wall_angle_deg: float = Field(
-        default=90.0,
-        gt=30,
-        le=90,
-        description="Of the wires' walls from the substrate; below 90 a wire is widest on the substrate",
-    )
+    wire_height_nm: float = Field(default=100.0, gt=0, le=2000)
+    """Of wires and plate, along the light."""
+    wall_angle_deg: float = Field(default=90.0, gt=30, le=90)
+    """Of the wires' walls from the substrate; below 90 a wire is widest on the substrate."""
     wires: int = Field(default=20, ge=1, le=2000, description="How many, centred in the aperture")
     aperture_um: float = Field(default=10.0, gt=0, le=50, description="Opening in the plate")
-    substrate_index: float = Field(
-        default=1.0, ge=1, le=4, description="Refractive index of the half space behind the wires; 1 is air"
-    )
+    substrate_index: float = Field(default=1.0, ge=1, le=4)
+    """Refractive index of the half space behind the wires; 1 is air."""
     port_um: float = Field(default=15.0, gt=0, le=100, description="Width of the modelled space")
     depth_um: float = Field(default=10.0, gt=0, le=50, description="Of the modelled space, along the light")
     pml_um: float = Field(default=1.0, gt=0, le=5, description="Perfectly matched layer around it")

@@ -78,7 +78,7 @@ def draw_spots(lens: LensDesign, element_um: float = 17.0) -> Figure:
     colours = plt.get_cmap("turbo")(np.linspace(0.1, 0.9, len(lens.wavelengths_um)))
     for i, ax in enumerate(axes[0]):
         for k, (colour, wavelength) in enumerate(zip(colours, lens.wavelengths_um, strict=True)):
-            image = ray_paths(optic, lens, i, wavelength)[-1, :, :2]
+            image = ray_paths(optic, lens, lens.fields_mm[i], wavelength)[-1, :, :2]
             spot = 1e3 * (image - np.nanmean(image, axis=0))
             size = 3 + 1.5 * (len(colours) - 1 - k)  # so that none hides those that lie under it
             ax.plot(*spot.T, ".", ms=size, color=colour, label=f"{wavelength:g} µm")
@@ -100,9 +100,9 @@ def draw_layout(lens: LensDesign) -> Figure:
     axes = figure.add_subplot(projection="3d")
     colours = plt.get_cmap("turbo")(np.linspace(0.1, 0.9, len(lens.wavelengths_um)))
     hits = []
-    for i in range(len(lens.fields_mm)):
+    for place in lens.fields_mm:
         for colour, wavelength in zip(colours, lens.wavelengths_um, strict=True):
-            paths = ray_paths(optic, lens, i, wavelength, 2)
+            paths = ray_paths(optic, lens, place, wavelength, 2)
             hits.append(paths)
             for ray in range(paths.shape[1]):
                 x, y, z = paths[:, ray].T
