@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from glintrack.sensor import modulation_transfer, point_spread
+from glintrack.sensor import modulation_transfer
 from glintrack.sensor.lens_kernels import WING_CELL, diffraction_share, lens_kernels, through_lens, with_wings
-from glintrack.sensor.wavefront import noll_indices, pupil, relative_illumination, wavefront_um, zernike
+from glintrack.sensor.wavefront import (
+    diffraction_pattern,
+    noll_indices,
+    pupil,
+    relative_illumination,
+    wavefront_um,
+    zernike,
+)
 from tests.plain import plain_sensor
 
 GRID = np.round(np.arange(0.4, 1.0001, 0.01), 9)
@@ -29,6 +36,11 @@ def airy(radius_um, f_number, obscuration=0.0):
 
     amplitude = disc(1.0) - (disc(obscuration) if obscuration else 0.0)
     return math.pi / 4 * amplitude**2 / (LAMBDA_UM * f_number) ** 2 / (1 - obscuration**2)
+
+
+def point_spread(design, wavelength_um, step_um, samples, field=(0.0, 0.0)):
+    passing = pupil(design, wavelength_um, field)
+    return diffraction_pattern(design, passing, wavelength_um, step_um, samples)
 
 
 @pytest.mark.parametrize("f_number", [2.8, 5.6])

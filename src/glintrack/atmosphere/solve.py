@@ -254,12 +254,7 @@ def _atmosphere(medium: Medium, chunk: slice, geometry: sk.Geometry1D, config: s
 
 
 def rayleigh_slab(
-    optical_depth: float,
-    mu0: float,
-    albedo: float,
-    mu: ArrayLike,
-    azimuth_deg: ArrayLike,
-    streams: int = 40,
+    optical_depth: float, mu0: float, albedo: float, mu: ArrayLike, azimuth_deg: ArrayLike, streams: int = 40
 ) -> Float[Array, "... 3"]:
     """Light leaving the top of a homogeneous Rayleigh slab without depolarization, for a solar flux of π.
 

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 from scipy.optimize import fminbound
+from scipy.signal import peak_widths
 
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
@@ -256,14 +257,14 @@ def _peak_and_width(design: EtalonDesign, gap_um: float, wavelength_um: float) -
     curve = _transmittance(design, np.array(gap_um), fine)
     near = np.flatnonzero(np.abs(fine - wavelength_um) <= 0.01 * wavelength_um)
     top = int(near[np.argmax(curve[near])])
-    half = curve[top] / 2
-    below, above = np.flatnonzero(curve[:top] < half), np.flatnonzero(curve[top:] < half)
-    if below.size == 0 or above.size == 0:
-        return float(curve[top]), float("nan")
-    i, j = below[-1], top + above[0]
-    left = fine[i] + _FINE_STEP_UM * (half - curve[i]) / (curve[i + 1] - curve[i])
-    right = fine[j - 1] + _FINE_STEP_UM * (curve[j - 1] - half) / (curve[j - 1] - curve[j])
-    return float(curve[top]), float(right - left)
+    whole = (
+        curve[[top]],
+        np.array([0]),
+        np.array([fine.size - 1]),
+    )  # half of the peak, not of its prominence
+    (width,), _, (left,), (right,) = peak_widths(curve, [top], prominence_data=whole)
+    is_inside = 0 < left and right < fine.size - 1
+    return float(curve[top]), float(width * _FINE_STEP_UM) if is_inside else float("nan")
 
 
 def tabulate(design: EtalonDesign) -> xr.Dataset:

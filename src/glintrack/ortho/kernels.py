@@ -28,7 +28,7 @@ class Pixels(NamedTuple):
     Parameters
     ----------
     at
-        Offset of each place's upper left (or nearest) pixel in the flattened frame.
+        Offset of each place's upper left pixel in the flattened frame.
     down, right
         Fraction of a pixel, NaN off the frame. [pixel]
     """
@@ -39,11 +39,12 @@ class Pixels(NamedTuple):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def sample_nearest(source, band, side, pixels, first, last, out, row):
+def sample_nearest(source, band, side, below, pixels, first, last, out, row):
     """Values of the nearest pixels."""
-    at, down = pixels.at, pixels.down
+    at, down, right, half = pixels.at, pixels.down, pixels.right, np.float32(0.5)
     for j in range(np.uintp(first), np.uintp(last)):
-        value = source[np.uintp(at[j]) + band]
+        k = np.uintp(at[j]) + band + (below if down[j] >= half else np.uintp(0))
+        value = source[k + (side if right[j] >= half else np.uintp(0))]
         out[row + j * side + band] = value if down[j] == down[j] else np.float32(np.nan)
 
 
@@ -153,16 +154,6 @@ class Collinearity(NamedTuple):
     distortion: Float[Array, "k"]
 
 
-class CellPlaces(NamedTuple):
-    """Places of the cells of a grid; see `rectify.GridCells`."""
-
-    east: Float[Array, "a b"]
-    north: Float[Array, "c d"]
-    height: Float[Array, "e f"]
-    node_row: Float[Array, "y"]
-    node_column: Float[Array, "x"]
-
-
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def sample(
     start, stop, source, size, collinearity, places, method, to_meridian, polarized, dolp_floor, out, dolp
@@ -171,7 +162,7 @@ def sample(
 
     ``source`` is the flattened frame, row by row and band by band, and ``out`` the grid likewise. ``size`` is
     the frame's rows, columns and bands, and the grid's columns. ``collinearity`` is a `Collinearity`,
-    ``places`` are `CellPlaces`. ``polarized`` is the number of components of each band's Stokes vectors to
+    ``places`` are `rectify.GridCells`. ``polarized`` is the number of components of each Stokes vector to
     rotate, 0 for none, and ``to_meridian`` the lens's place from the origin and their reference axis.
     ``dolp`` is empty where it is not needed.
     """
@@ -195,10 +186,7 @@ def sample(
         _project(x, y, z, collinearity.linear, down, right)
         if collinearity.distortion.size > 0:
             _distort(down, right, origin, collinearity.distortion)
-        if method == NEAREST:
-            _round_to_pixels(down, right, size, at)
-        else:
-            _pixels_above(down, right, size, at, above, left)
+        _pixels_above(down, right, size, at, above, left)
         first, last = _range_on_frame(down)
         _leave_empty(out, row, row + first * side)
         _leave_empty(out, row + last * side, row + count * side)
@@ -206,7 +194,7 @@ def sample(
             cubic_weights(size, above, left, down, right, window, weights)
         for band in range(side):  # one after the other: a loop over the few bands of each cell is slower
             if method == NEAREST:
-                sample_nearest(source, band, side, pixels, first, last, out, row)
+                sample_nearest(source, band, side, below, pixels, first, last, out, row)
             elif method == BILINEAR:
                 sample_bilinear(source, band, side, below, pixels, first, last, out, row)
             else:
@@ -296,19 +284,6 @@ def _pixels_above(down, right, size, at, above, left):
         at[j], above[j], left[j] = i0 * step + j0 * side, i0, j0
         down[j] = r - np.float32(i0) if inside else none
         right[j] = c - np.float32(j0)
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _round_to_pixels(down, right, size, at):
-    """Nearest pixel of each place; ``down`` becomes NaN off the frame."""
-    half, zero, none = np.float32(0.5), np.float32(0.0), np.float32(np.nan)
-    last_r, last_c, step, side = np.float32(size[0] - 1), np.float32(size[1] - 1), size[1] * size[2], size[2]
-    for j in range(len(at)):
-        r, c = down[j], right[j]
-        inside = (r >= -half) & (r < last_r + half) & (c >= -half) & (c < last_c + half)
-        r, c = min(max(r + half, zero), last_r) if inside else zero, min(max(c + half, zero), last_c)
-        at[j] = np.int32(r) * step + np.int32(c if inside else zero) * side
-        down[j] = r if inside else none
 
 
 @nb.njit(cache=True)

@@ -1,4 +1,4 @@
-"""A user's photograph to an orthophoto: by its camera, its pose and the heights under it, in any CRS."""
+"""Orthophoto of a user's photograph by its camera, its pose and the heights under it, in any CRS."""
 
 import warnings
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from glintrack.ortho.rasters import (
 )
 from glintrack.ortho.rectify import rectify_frame, rectify_onto
 
-_KEPT = ("uint8", "uint16", "int16")  # float32 holds each of their numbers
+_EXACT = ("uint8", "uint16", "int16")  # types with numbers that are exact in float32
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class Photograph:
     Parameters
     ----------
     values, names
-        (row, column, band), and what each band is; no values where there is a frame.
+        (row, column, band), and the name of each band; no values where there is a frame.
     dtype
-        Of the values in their file.
+        Type of the values in their file.
     camera, placed
         The frame camera, and its pose in metres from an origin in a projected CRS.
     frame
@@ -51,7 +51,7 @@ class Photograph:
 
     @classmethod
     def read(cls, source: Path | xr.Dataset, camera: Camera, placed: PlacedPose) -> "Photograph":
-        """From an image that GDAL reads, or a frame of our own (``.nc``, or its dataset).
+        """Read an image by GDAL, or one of our frames (``.nc``, or its dataset).
 
         Raises
         ------
@@ -76,7 +76,7 @@ class Photograph:
     def onto(
         self, east: Float[Array, "y x"], north: Float[Array, "y x"], ground: Float[Array, "y x"], method: str
     ) -> Float[Array, "y x band"]:
-        """Its bands at places from the pose's origin, as `rectify_onto` takes them."""
+        """Sample its bands at places from the pose's origin, as in `rectify_onto`."""
         pose = self.placed.pose
         if self.frame is None:
             return rectify_onto(self.values, self.camera, pose, east, north, ground, method)
@@ -91,14 +91,14 @@ class Orthophoto:
     Parameters
     ----------
     bands, names
-        Values (y, x, band), NaN for no data, and what each band is.
+        Values (y, x, band), NaN for no data, and the name of each band.
     grid
         Its cells.
     tags
-        Source, method, if it was registered the displacement taken out [cell], and
+        Source, method, the corrected displacement if it was registered [cell], and
         ``ground_without_height``, the share of the ground in the frame that is NaN for that [1].
     dtype
-        That a GeoTIFF of it has: the photograph's if of 8 or 16 bits, else float32.
+        Type of its GeoTIFF: the photograph's if of 8 or 16 bits, else float32.
     """
 
     bands: Float[Array, "y x band"]
@@ -108,14 +108,12 @@ class Orthophoto:
     dtype: str = "float32"
 
     def write(self, path: Path | str) -> None:
-        """Cloud Optimized GeoTIFF or, by its ending, NetCDF-4 in float32.
+        """Write a Cloud Optimized GeoTIFF or, by its ending, NetCDF-4 in float32.
 
         A GeoTIFF of whole numbers has a mask for no data, one of float32 NaN.
         """
-        grid = self.grid
-        images.write_bands(
-            Path(path), self.bands, self.names, grid.x, grid.y, grid.crs, self.tags, self.dtype
-        )
+        axes = self.grid.x, self.grid.y, self.grid.crs
+        images.write_bands(Path(path), self.bands, self.names, *axes, self.tags, self.dtype)
 
 
 def rectify(
@@ -136,33 +134,33 @@ def rectify(
     Parameters
     ----------
     frame
-        Image that GDAL reads, or a frame of our own (``.nc``, or its dataset).
+        Image that GDAL reads, or one of our frames (``.nc``, or its dataset).
     camera, pose
-        Files as docs/howto/my_frames.md describes them, or what they give, as `glintrack.expose` does.
+        Files as in docs/howto/my_frames.md, or their records, as from `glintrack.expose`.
     ground
         Raster of heights in any CRS, or one height for all. [m]
     surface
-        Raster with the heights of roofs and crowns: what they hide becomes NaN, and a band ``occluded`` says
-        where. [m]
+        Raster with the heights of roofs and crowns: hidden cells become NaN and are marked in a band
+        ``occluded``. [m]
     crs
-        Of the result; the pose's by default.
+        CRS of the result; the pose's by default.
     gsd
-        Cell; a pixel's by default. [unit of crs]
+        Size of a cell; a pixel's by default. [unit of crs]
     area
-        West, south, east, north of the result; what the photograph sees by default. [unit of crs]
+        West, south, east, north of the result; the photograph's footprint by default. [unit of crs]
     method
         ``"nearest"``, ``"bilinear"`` or ``"cubic"``.
     register
-        Raster in its right place: the result is moved onto its first band's content.
+        Reference raster: the result is shifted onto its first band's content.
 
     Returns
     -------
-    The orthophoto; `Orthophoto.write` keeps it.
+    The orthophoto, to be saved by `Orthophoto.write`.
 
     Raises
     ------
     ValueError
-        If a file is not what it must be, the photograph sees the horizon, or no height is known under it.
+        If a file is invalid, the photograph sees the horizon, or no height is known under it.
 
     Warns
     -----
@@ -173,7 +171,7 @@ def rectify(
     source = frame if isinstance(frame, xr.Dataset) else Path(frame)
     name = "" if isinstance(source, xr.Dataset) else source.name
     placed = pose if isinstance(pose, PlacedPose) else read_pose(Path(pose), name)
-    _looks_down(lens, placed, area is None)
+    _check_view(lens, placed, area is None)
     photograph = Photograph.read(source, lens, placed)
     level = isinstance(ground, int | float)
     if level and not MIN_HEIGHT_M <= ground <= MAX_HEIGHT_M:
@@ -194,7 +192,7 @@ def rectify(
         tags["ground_without_height"] = void
     if register is not None:
         rows, columns = displacement_against(bands, Path(register), grid)
-        bands = photograph.onto(*grid.moved(rows, columns).places(placed), height, method)
+        bands = photograph.onto(*grid.shift(rows, columns).places(placed), height, method)
         tags |= {"registration_rows": rows, "registration_columns": columns}
     names = photograph.names
     if surface is not None:
@@ -207,11 +205,11 @@ def rectify(
             f"`area` and `gsd` must give cells on ground that the frame sees, got {bands.shape[0]} × "
             f"{bands.shape[1]} cells without any (both are in units of the CRS: degrees for EPSG:4326)"
         )
-    return Orthophoto(bands, names, grid, tags, photograph.dtype if photograph.dtype in _KEPT else "float32")
+    return Orthophoto(bands, names, grid, tags, photograph.dtype if photograph.dtype in _EXACT else "float32")
 
 
-def _looks_down(camera: Camera, placed: PlacedPose, whole: bool) -> None:
-    """Refuse a frame that sees the horizon: with an area, only one whose middle does."""
+def _check_view(camera: Camera, placed: PlacedPose, whole: bool) -> None:
+    """Refuse a frame that sees the horizon; with an area, only if its middle does."""
     pixels = frame_border(camera) if whole else np.array([camera.principal_point])
     if (rays(camera, placed.pose, pixels)[..., 2] > -1e-3).any():
         remedy = "give an area, --area, to rectify a part" if whole else "check the angles' signs and units"
@@ -221,12 +219,13 @@ def _looks_down(camera: Camera, placed: PlacedPose, whole: bool) -> None:
 
 
 def _void_share(ground: Array, camera: Camera, placed: PlacedPose, east: Array, north: Array) -> float:
-    """Share of the ground in the frame that has no height and becomes NaN; told, and refused if it is all."""
+    """Share of the ground in the frame without height, which becomes NaN; warn, and refuse all of it."""
     missing = ~np.isfinite(ground)
     if not missing.any():
         return 0.0
-    level = float(np.nanmedian(ground)) if not missing.all() else 0.0
-    seen = _within(camera, placed, east, north, level)
+    level = np.full(east.shape, 0.0 if missing.all() else float(np.nanmedian(ground)))
+    frame = np.zeros((camera.rows, camera.columns), np.float32)
+    seen = np.isfinite(rectify_onto(frame, camera, placed.pose, east, north, level, "nearest"))
     share = float((missing & seen).sum() / max(seen.sum(), 1))
     remedy = "fill it with gdal_fillnodata.py, give a smaller area, or a height"
     if share == 1:
@@ -237,10 +236,3 @@ def _void_share(ground: Array, camera: Camera, placed: PlacedPose, east: Array, 
             stacklevel=3,
         )
     return share
-
-
-def _within(camera: Camera, placed: PlacedPose, east: Array, north: Array, level: float) -> Array:
-    frame = np.zeros((camera.rows, camera.columns), np.float32)
-    level_ground = np.full(east.shape, level)
-    found = rectify_onto(frame, camera, placed.pose, east, north, level_ground, "nearest")
-    return np.isfinite(found)

@@ -27,7 +27,7 @@ from glintrack.ortho.grid import heights_at, transform_axes, transform_places
 from glintrack.ortho.image_shift import displacement_between
 from glintrack.ortho.occlusion import occlusion_mask
 
-_MOST_CELLS = 400e6
+_MAX_CELLS = 400e6
 _OUTWARD = (math.floor, math.floor, math.ceil, math.ceil)
 
 
@@ -58,10 +58,10 @@ class MapGrid:
         gsd: float | None = None,
         area: tuple[float, float, float, float] | None = None,
     ) -> "MapGrid":
-        """Grid over what a camera sees between two heights, or over an area; see `photograph.rectify`."""
+        """Build a grid over a camera's footprint between two heights, or over an area; see `rectify`."""
         own = placed.crs if crs is None else crs
         if area is None:
-            area = _seen(camera, placed, levels_m, own)
+            area = _footprint(camera, placed, levels_m, own)
         if gsd is None:
             if crs is not None and CRS.from_user_input(own).is_geographic:
                 raise ValueError(f"`gsd` must be given in degrees for a geographic CRS, got none for {crs}")
@@ -75,7 +75,7 @@ class MapGrid:
         west, south, east, north = (f(v / gsd) * gsd for f, v in zip(_OUTWARD, area, strict=True))
         if not (west < east and south < north):
             raise ValueError(f"`area` must be west south east north and not empty, got {area}")
-        if (east - west) / gsd * (north - south) / gsd > _MOST_CELLS:
+        if (east - west) / gsd * (north - south) / gsd > _MAX_CELLS:
             low = f" (the lens at {placed.pose.up_m:g} m lies below ground of {levels_m[1]:g} m)"
             raise ValueError(
                 f"`gsd` must be larger, or `area` smaller, got {(east - west) / gsd:.3g} × "
@@ -85,8 +85,8 @@ class MapGrid:
         x, y = west + gsd * (np.arange(columns) + 0.5), north - gsd * (np.arange(rows) + 0.5)
         return cls(x, y, gsd, own)
 
-    def moved(self, rows: float, columns: float) -> "MapGrid":
-        """Where the picture's content of each cell was found."""
+    def shift(self, rows: float, columns: float) -> "MapGrid":
+        """Shift the grid by a number of cells."""
         return MapGrid(self.x + columns * self.gsd, self.y - rows * self.gsd, self.gsd, self.crs)
 
     def places(self, placed: PlacedPose) -> tuple[Array, Array]:
@@ -104,8 +104,8 @@ def frame_border(camera: Camera) -> Array:
     return np.concatenate(edges)
 
 
-def _seen(camera: Camera, placed: PlacedPose, levels: tuple[float, float], crs: str) -> tuple:
-    """Bounds, in a CRS, of the ground that the frame sees between two heights."""
+def _footprint(camera: Camera, placed: PlacedPose, levels: tuple[float, float], crs: str) -> tuple:
+    """Bounds, in a CRS, of the frame's footprint between two heights."""
     heights = [h for h in levels if h < placed.pose.up_m]
     border = np.concatenate([ground_points(camera, placed.pose, frame_border(camera), h) for h in heights])
     east, north = border[:, 0] + placed.origin_m[0], border[:, 1] + placed.origin_m[1]
@@ -122,7 +122,7 @@ def _pixel_on_ground(camera: Camera, placed: PlacedPose, level: float) -> float:
     return float(f"{side:.2g}")
 
 
-_MOST_SURFACE = 100e6
+_MAX_SURFACE_CELLS = 100e6
 
 
 def heights_under(path: Path, option: str, grid: MapGrid, placed: PlacedPose) -> Array:
@@ -136,7 +136,7 @@ def heights_under(path: Path, option: str, grid: MapGrid, placed: PlacedPose) ->
 
 
 def _if_exchanged(path: Path, option: str, placed: PlacedPose) -> str:
-    """A remedy for a pose far from a raster of heights that is near with easting and northing exchanged."""
+    """Remedy for a pose far from a raster, with a hint if easting and northing are exchanged."""
     east = placed.origin_m[0] + placed.pose.east_m
     north = placed.origin_m[1] + placed.pose.north_m
     if is_within(path, option, east, north, placed.crs):
@@ -155,7 +155,7 @@ def _at(heights: Heights, x: Array, y: Array) -> Array:
 
 
 def displacement_against(bands: Array, path: Path, grid: MapGrid) -> tuple[float, float]:
-    """Displacement of a rectified picture against a reference raster. [cell]"""
+    """Displacement of a rectified image against a reference raster. [cell]"""
     reference = np.full(bands.shape[:2], np.nan)
     try:
         with open_raster(path, "register") as file:
@@ -183,7 +183,7 @@ def displacement_against(bands: Array, path: Path, grid: MapGrid) -> tuple[float
 def occlusion_by_raster(
     path: Path, grid: MapGrid, placed: PlacedPose, east: Array, north: Array, ground: Array
 ) -> Array:
-    """Cells hidden by a surface model, which is first brought to an even grid of metres around the result."""
+    """Cells hidden by a surface model, which is first resampled to an even grid in metres."""
     lowest, highest = read_height_range(path, "surface")
     pose = placed.pose
     fall = max(pose.up_m - highest, 1.0)
@@ -194,7 +194,7 @@ def occlusion_by_raster(
     west, right = min(east.min(), toward[0]), max(east.max(), toward[0])
     south, top = min(north.min(), toward[1]), max(north.max(), toward[1])
     step = max(_pixel_size(path, placed, west, south), 0.05)
-    if (right - west) * (top - south) / step**2 > _MOST_SURFACE:
+    if (right - west) * (top - south) / step**2 > _MAX_SURFACE_CELLS:
         raise ValueError(f"`surface` must be coarser, or `area` smaller, got cells of {step:g} m")
     x, y = np.arange(west, right + step, step), np.arange(top, south - step, -step)
     axes = x + placed.origin_m[0], y + placed.origin_m[1]

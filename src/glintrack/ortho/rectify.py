@@ -6,7 +6,7 @@ does not rotate with the aircraft.
 """
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -27,8 +27,7 @@ _EMPTY = np.zeros(0)
 _HEIGHT_SAMPLES = 16  # heights along each axis; they choose the place with the least rounding
 
 
-@dataclass(frozen=True)
-class GridCells:
+class GridCells(NamedTuple):
     """Places of the cells of a grid.
 
     Parameters
@@ -317,10 +316,9 @@ def _sweep(
     centre = (camera.rows - 1) / 2, (camera.columns - 1) / 2
     middle = cells.clip(ground_points(camera, pose, centre, cells.middle_height_m))
     collinearity = _collinearity(camera, pose, middle, first, pitch)
-    places = kernels.CellPlaces(cells.east, cells.north, cells.height, cells.node_row, cells.node_column)
     number = METHODS.index("bilinear" if method == "cubic" and min(values.shape[:2]) < 4 else method)
     to_meridian = np.concatenate([pose.position - collinearity.origin[:3], rotation(pose)[0]])
-    how = collinearity, places, number, to_meridian, polarized, dolp_floor
+    how = collinearity, cells, number, to_meridian, polarized, dolp_floor
     size = *source.shape, out.shape[1]
     over_rows(kernels.sample, len(out), source.ravel(), size, *how, out.ravel(), dolp)
     return out.reshape(*cells.shape, *values.shape[2:])

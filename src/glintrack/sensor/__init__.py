@@ -16,28 +16,16 @@ from glintrack.sensor.exposure import (
     with_exposure,
 )
 from glintrack.sensor.ghosts import ghosts, with_window
-from glintrack.sensor.layouts import Demosaicker
 from glintrack.sensor.lens import LensDesign, lens_quality, read_lens, with_lens
-from glintrack.sensor.navigation import (
-    NavigationDesign,
-    image_motion,
-    navigate,
-    navigation_errors,
-    smear,
-)
+from glintrack.sensor.navigation import NavigationDesign, image_motion, navigate, navigation_errors, smear
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
 from glintrack.sensor.raw import RawDesign, measure_polarization, read_analysers
 from glintrack.sensor.response import response_curves
-from glintrack.sensor.sensor import (
-    Sensor,
-    build_sensor,
-    noise_equivalent_radiance,
-)
+from glintrack.sensor.sensor import Sensor, build_sensor, noise_equivalent_radiance
 from glintrack.sensor.spectrometer import fill_dark_mirrors, measure_spectra, noiseless_spectra, serve
-from glintrack.sensor.wavefront import modulation_transfer, point_spread
+from glintrack.sensor.wavefront import modulation_transfer
 
 __all__ = [
-    "Demosaicker",
     "LensDesign",
     "NavigationDesign",
     "OpticsDesign",
@@ -71,7 +59,6 @@ __all__ = [
     "noiseless_frame",
     "noiseless_spectra",
     "photo_electrons",
-    "point_spread",
     "read_analysers",
     "read_lens",
     "read_out",

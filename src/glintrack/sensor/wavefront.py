@@ -10,7 +10,6 @@ from collections import Counter
 import numpy as np
 import xarray as xr
 from jaxtyping import Complex, Float
-from scipy.ndimage import gaussian_filter
 from scipy.special import eval_jacobi
 
 from glintrack.core.arrays import Array
@@ -139,19 +138,17 @@ def _nodes_at(design: SensorDesign, field: tuple[float, float]) -> list[tuple[di
     return [(nodes[i][j], a * b) for i, a in parts[0] for j, b in parts[1] if a * b > 0]
 
 
-def point_spread(
-    design: SensorDesign,
-    wavelength_um: float,
-    step_um: float,
-    samples: int,
-    field: tuple[float, float] = (0.0, 0.0),
+def diffraction_pattern(
+    design: SensorDesign, passing: Complex[Array, "p p"], wavelength_um: float, step_um: float, samples: int
 ) -> Float[Array, "s s"]:
-    """Point spread function on the detector, its integral over the plane 1.
+    """Point spread function of a pupil on the detector, without the Gaussian spot; its integral is 1.
 
     Parameters
     ----------
-    design, wavelength_um, field
-        As `pupil`.
+    design, passing
+        The sensor, and its `pupil`.
+    wavelength_um
+        Wavelength of the light. [µm]
     step_um, samples
         Grid of the result, square, centred; rows run down the image. [µm]
 
@@ -159,20 +156,6 @@ def point_spread(
     -------
     Irradiance of a point's image per power in it. [µm⁻²]
     """
-    spread = diffraction_pattern(design, pupil(design, wavelength_um, field), wavelength_um, step_um, samples)
-    if design.spot_sigma_um > 0:
-        spread = gaussian_filter(spread, design.spot_sigma_um / step_um, mode="constant")
-    return spread
-
-
-def diffraction_pattern(
-    design: SensorDesign,
-    passing: Complex[Array, "p p"],
-    wavelength_um: float,
-    step_um: float,
-    samples: int,
-) -> Float[Array, "s s"]:
-    """Point spread of a pupil without the Gaussian spot; arguments as `point_spread`. [µm⁻²]"""
     # pupil sample × image sample over λN, with the pupil's diameter as the unit of length in the pupil
     place = (np.arange(len(passing)) - len(passing) // 2) / (len(passing) - 1)
     image = (np.arange(samples) - samples // 2) * step_um / (wavelength_um * design.f_number)

@@ -5,7 +5,6 @@ import pytest
 
 from glintrack.devices.micromirror.equilibrium import MicromirrorDesign, SurfaceDesign
 from glintrack.devices.micromirror.scatter import (
-    bsdf,
     relay_throughput,
     scatter,
     total_integrated_scatter,
@@ -20,6 +19,11 @@ def test_total_scatter_is_the_closed_form():
     small = total_integrated_scatter(1e-9, WAVELENGTH, 0.3)
     np.testing.assert_allclose(small, (4e-3 * np.pi * np.cos(0.3) / WAVELENGTH) ** 2, rtol=1e-3)
     assert total_integrated_scatter(1e-6, 0.4) == pytest.approx(1)
+
+
+def bsdf(model, beta):
+    """A/(Bᵍ + βᵍ) at each wavelength. [sr⁻¹]"""
+    return model.scale[:, None] / (model.shoulder[:, None] ** model.slope + beta**model.slope)
 
 
 @pytest.mark.parametrize("slope", [1.5, 2.0, 3.3])

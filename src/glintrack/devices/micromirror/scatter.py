@@ -83,13 +83,6 @@ def scatter(surface: SurfaceDesign, wavelength_um: ArrayLike, incidence_rad: flo
     return Scatter(wavelength, total, total / unit, shoulder, surface.rolloff)
 
 
-def bsdf(model: Scatter, beta: ArrayLike) -> Float[Array, "wavelength beta"]:
-    """BSDF at |β − β₀| = |sin θ_s − sin θ_i|, per reflected light. [sr⁻¹]"""
-    away = np.abs(np.atleast_1d(np.asarray(beta, float)))
-    below = model.shoulder[:, None] ** model.slope + away**model.slope
-    return model.scale[:, None] / below
-
-
 def wing_fraction(model: Scatter, beta: ArrayLike) -> Float[Array, "wavelength"]:
     """Share of the reflected light that is scattered further than ``beta`` from the specular beam. [1]
 
