@@ -12,10 +12,10 @@ from glintrack.camera import (
     Pose,
     from_omega_phi_kappa,
     look_at,
-    nudged,
     omega_phi_kappa,
     project,
     rays,
+    rotate_line_of_sight,
     rotation,
     with_rotation,
 )
@@ -84,7 +84,9 @@ def test_a_nudge_moves_the_line_of_sight_the_right_way(place):
     pose = look_at(Pose(*place, heading_rad=0.4), (0, 0, 0))
     for right, up in ((1e-3, 0.0), (0.0, 2e-3), (-5e-4, 1e-3)):
         row, column = project(
-            CAMERA, nudged(pose, right, up), pose.position + rays(CAMERA, pose, CAMERA.principal_point)
+            CAMERA,
+            rotate_line_of_sight(pose, right, up),
+            pose.position + rays(CAMERA, pose, CAMERA.principal_point),
         )
         scale = CAMERA.focal_length_m / CAMERA.pitch_m
         # a line of sight turned right sees its old target to the left of the centre

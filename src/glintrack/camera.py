@@ -72,7 +72,7 @@ class Camera:
 
     @property
     def bending(self) -> Float[Array, "coefficient"]:
-        """What `distortion.distort` takes; empty for a pinhole."""
+        """Coefficients for `distortion.distort`; empty for a pinhole."""
         return NO_DISTORTION if self.distortion is None else self.distortion.coefficients
 
     def _tangents(self, pixels: Array) -> tuple[Array, Array]:
@@ -136,19 +136,19 @@ class Pose:
 
 
 def _turn(angle_rad: float) -> Float[Array, "3 3"]:
-    """New axes turned clockwise about z (heading, gimbal azimuth)."""
+    """Rotation of the axes clockwise about z (heading, gimbal azimuth)."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
 def _bank(angle_rad: float) -> Float[Array, "3 3"]:
-    """New axes rolled about y with the right side going down (roll)."""
+    """Rotation of the axes about y, right side down (roll)."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, 0, -s], [0, 1.0, 0], [s, 0, c]])
 
 
 def _tilt(angle_rad: float) -> Float[Array, "3 3"]:
-    """New axes tilted about x so that −z, the line of sight, swings ahead (pitch, gimbal)."""
+    """Rotation of the axes about x, −z (the line of sight) ahead (pitch, gimbal)."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[1.0, 0, 0], [0, c, s], [0, -s, c]])
 
@@ -164,18 +164,18 @@ def rotation(pose: Pose) -> Float[Array, "3 3"]:
 
 
 def look_at(pose: Pose, target_enu: ArrayLike) -> Pose:
-    """The same pose with its gimbal commanded at a ground point (a stare point).
+    """Point a pose's gimbal at a ground point (a stare point).
 
     Parameters
     ----------
     pose
-        Its airframe attitude is kept, its gimbal replaced.
+        Its airframe attitude stays, its gimbal is replaced.
     target_enu
         Point to put on the optical axis, (east, north, up). [m]
 
     Returns
     -------
-    A pose whose optical axis passes through ``target_enu``.
+    A pose with an optical axis through ``target_enu``.
     """
     airframe = rotation(Pose(0, 0, 0, pose.heading_rad, pose.roll_rad, pose.pitch_rad))
     x, y, z = airframe @ (np.asarray(target_enu, dtype=float) - pose.position)
@@ -195,12 +195,12 @@ def look_at(pose: Pose, target_enu: ArrayLike) -> Pose:
 
 
 def with_rotation(pose: Pose, matrix: Float[Array, "3 3"]) -> Pose:
-    """The same pose with its airframe so turned that `rotation` gives ``matrix``; the gimbal is kept.
+    """Rotate a pose's airframe so that `rotation` gives ``matrix``; the gimbal stays.
 
     Parameters
     ----------
     pose
-        Its place, gimbal and kind are kept.
+        Its place, gimbal and kind stay.
     matrix
         From ENU to the detector's axes, a proper rotation. [1]
 
@@ -222,11 +222,10 @@ def with_rotation(pose: Pose, matrix: Float[Array, "3 3"]) -> Pose:
     )
 
 
-def nudged(pose: Pose, right_rad: float, up_rad: float) -> Pose:
-    """The same pose with its line of sight turned toward image right and image up, as vibration does.
+def rotate_line_of_sight(pose: Pose, right_rad: float, up_rad: float) -> Pose:
+    """Rotate a pose's line of sight toward image right and image up, as vibration does.
 
-    The airframe's attitude takes the turn up, so that the place where the gimbal looks straight down is not
-    singular. [rad]
+    The airframe's attitude is changed, so that a gimbal that looks straight down is not singular. [rad]
     """
     return with_rotation(pose, _tilt(up_rad) @ _bank(-right_rad) @ rotation(pose))
 
@@ -307,7 +306,7 @@ def _bend(x: Array, y: Array, coefficients: Array, inverse: bool) -> tuple[Array
 
 
 def rays(camera: Camera, pose: Pose, pixels: ArrayLike | None = None) -> Float[Array, "... 3"]:
-    """Unit directions of look through pixels, in ENU; the inverse of `project`.
+    """Directions of look through pixels, in ENU; the inverse of `project`.
 
     Parameters
     ----------
@@ -331,7 +330,7 @@ def rays(camera: Camera, pose: Pose, pixels: ArrayLike | None = None) -> Float[A
 def ground_points(
     camera: Camera, pose: Pose, pixels: ArrayLike, height_m: ArrayLike = 0.0
 ) -> Float[Array, "... 3"]:
-    """Where the rays through pixels meet a level plane.
+    """Intersect the rays through pixels with a level plane.
 
     Parameters
     ----------

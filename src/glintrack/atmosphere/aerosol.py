@@ -112,13 +112,13 @@ def without_forward_peak(optics: AerosolOptics, moments: int = 64) -> AerosolOpt
     """
     degree = np.arange(moments)
     peak = optics.moments[:, 0, moments] / (2 * moments + 1)
-    kept = optics.moments[:, :, :moments].copy()
-    kept[:, :3] -= (
+    truncated = optics.moments[:, :, :moments].copy()
+    truncated[:, :3] -= (
         peak[:, None, None] * np.where(degree < 2, np.array([1, 0, 0])[:, None], 1) * (2 * degree + 1)
     )
     albedo = optics.single_scattering_albedo
     return AerosolOptics(
         extinction=optics.extinction * (1 - albedo * peak),
         single_scattering_albedo=albedo * (1 - peak) / (1 - albedo * peak),
-        moments=kept / (1 - peak)[:, None, None],
+        moments=truncated / (1 - peak)[:, None, None],
     )

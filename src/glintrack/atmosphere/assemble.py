@@ -1,6 +1,6 @@
 """From a design to its tables: medium in, solver's fields out, scaled to the sun and factorized.
 
-Sky and path are solved without gas absorption, whose angular shape needs many eigenvectors (20 components
+Sky and path are solved without gas absorption, which would need many eigenvectors (20 components
 leave 8 % in the saturated bands). They are then multiplied per wavelength by the gases' transmission: of the
 sky's irradiance on level ground, and of the path in a reference direction toward a sensor at each altitude.
 The transmission follows from the band's exponential sum; ``docs/theory/atmosphere.md`` gives its error.
@@ -19,18 +19,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.atmosphere import gas
 from glintrack.atmosphere.aerosol import AerosolOptics, aerosol_optics, without_forward_peak
 from glintrack.atmosphere.design import AEROSOL_TOP_M, GROUND_ALBEDO, SCALE_HEIGHT_M, AtmosphereDesign
-from glintrack.atmosphere.gas import (
-    LEVELS_M,
-    column_weights,
-    effective_absorption,
-    exponential_profile,
-    gas_amounts,
-    gas_terms,
-    path_transmittance,
-    slant_weights,
-)
 from glintrack.atmosphere.solve import (
     MOMENTS,
     Directions,
@@ -146,16 +137,16 @@ def assemble_tables(
     light = _light_of(ground, extinction, height, directions)
     absorbed = _light_with_gases(fields, clean, directions, design, threads, part(0.7, 0.3))
     sun_top = solar_irradiance(design.wavelength_um, earth_sun_distance(design))
-    gas = slant_weights(directions.cos_sun_zenith, height) @ medium.gas_absorption
+    sun_depth = gas.slant_weights(directions.cos_sun_zenith, height) @ medium.gas_absorption
     azimuth, sky_full = _full_circle(fields.sky, directions.azimuth, sun_azimuth)
     _, path_full = _full_circle(path, directions.azimuth, sun_azimuth)
     sky, path_factors = factorize(sky_full), factorize(path_full)
     sky = replace(sky, spectrum=sky.spectrum * (sun_top * absorbed.diffuse / light.diffuse))
     path_factors = replace(path_factors, spectrum=path_factors.spectrum * sun_top)
-    d, amounts = replace(directions, azimuth=azimuth), gas_amounts(design.water_cm)
-    gases = path_transmittance(amounts, height, d.altitude_m, d.view_zenith, design.wavelength_um)
+    d, amounts = replace(directions, azimuth=azimuth), gas.gas_amounts(design.water_cm)
+    gases = gas.path_transmittance(amounts, height, d.altitude_m, d.view_zenith, design.wavelength_um)
     spectra = {
-        "sun_irradiance": sun_top * (light.sun * np.exp(-gas)),
+        "sun_irradiance": sun_top * (light.sun * np.exp(-sun_depth)),
         "sky_irradiance": sun_top * absorbed.diffuse,
         "spherical_albedo": absorbed.returned,
         "path_gas": (absorbed.path / light.path).T,
@@ -166,15 +157,15 @@ def assemble_tables(
 
 def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
     """Optical properties by level and wavelength of a design; gases effective for the sun's slant path."""
-    height = np.array(LEVELS_M, dtype=float)
+    height = np.array(gas.LEVELS_M, dtype=float)
     wavelength_um = design.wavelength_um
     if design.aerosol == "none":
         nothing = np.zeros(wavelength_um.size)
         optics = AerosolOptics(nothing, nothing, np.zeros((wavelength_um.size, 4, MOMENTS)))
     else:
         optics = without_forward_peak(aerosol_optics(design.aerosol, wavelength_um), MOMENTS)
-    profile = column_weights(exponential_profile(height, SCALE_HEIGHT_M, AEROSOL_TOP_M), height)
-    gas = effective_absorption(gas_amounts(design.water_cm), height, cos_sun_zenith, wavelength_um)
+    profile = gas.column_weights(gas.exponential_profile(height, SCALE_HEIGHT_M, AEROSOL_TOP_M), height)
+    amounts = gas.gas_amounts(design.water_cm)
     return Medium(
         height_m=height,
         wavelength_um=wavelength_um,
@@ -182,7 +173,7 @@ def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
         aerosol_extinction=design.aerosol_optical_depth_550 * np.outer(profile, optics.extinction),
         aerosol_albedo=optics.single_scattering_albedo,
         aerosol_moments=optics.moments,
-        gas_absorption=gas,
+        gas_absorption=gas.effective_absorption(amounts, height, cos_sun_zenith, wavelength_um),
     )
 
 
@@ -200,23 +191,23 @@ def _light_with_gases(
     fields: Fields, medium: Medium, d: Directions, design: AtmosphereDesign, threads: int, progress
 ) -> _Light:
     """Light of a medium with gases: each band the sum of its terms."""
-    amounts, height = gas_amounts(design.water_cm), medium.height_m
+    amounts, height = gas.gas_amounts(design.water_cm), medium.height_m
     found = [
-        gas_terms(amounts, height, d.cos_sun_zenith, float(um), TERMS, SUMMED_GASES)
+        gas.gas_terms(amounts, height, d.cos_sun_zenith, float(um), TERMS, SUMMED_GASES)
         for um in medium.wavelength_um
     ]
     band = np.repeat(np.arange(len(found)), [len(weights) for weights, _ in found])
-    weights, gas = (np.concatenate([terms[k] for terms in found]) for k in (0, 1))
+    weights, absorption = (np.concatenate([terms[k] for terms in found]) for k in (0, 1))
     terms = replace(
         medium,
         wavelength_um=medium.wavelength_um[band],
         aerosol_extinction=medium.aerosol_extinction[:, band],
         aerosol_albedo=medium.aerosol_albedo[band],
         aerosol_moments=medium.aerosol_moments[band],
-        gas_absorption=gas.T,
+        gas_absorption=absorption.T,
     )
     ground = solve_ground(terms, d, design.streams, threads, progress)
-    light = _light_of(ground, fields.scattering_extinction[:, band] + gas.T, height, d)
+    light = _light_of(ground, fields.scattering_extinction[:, band] + absorption.T, height, d)
     into = np.eye(len(found))[band].T * weights  # (band, term)
     on_ground = into * (light.diffuse + d.cos_sun_zenith * light.sun)
     returned = (on_ground @ light.returned) / on_ground.sum(axis=1)
@@ -225,7 +216,7 @@ def _light_with_gases(
 
 def _light_of(ground: GroundLight, extinction: Array, height_m: Array, d: Directions) -> _Light:
     """Sun, sky and path of a medium of some extinction (level, wavelength)."""
-    sun = np.exp(-slant_weights(d.cos_sun_zenith, height_m) @ extinction)
+    sun = np.exp(-gas.slant_weights(d.cos_sun_zenith, height_m) @ extinction)
     diffuse = np.maximum(ground.irradiance(GROUND_ALBEDO) - d.cos_sun_zenith * sun, 0.0)
     view = int(np.argmin(abs(d.view_zenith - math.radians(REFERENCE_VIEW_DEG))))
     emitted = GROUND_ALBEDO * ground.irradiance(GROUND_ALBEDO) / np.pi
@@ -238,7 +229,9 @@ def _through(
     extinction: Array, height_m: Array, d: Directions
 ) -> Float[Array, "wavelength altitude view_zenith"]:
     """Transmittance from the ground to each sensor."""
-    slant = np.array([[slant_weights(math.cos(v), height_m, a) for v in d.view_zenith] for a in d.altitude_m])
+    slant = np.array(
+        [[gas.slant_weights(math.cos(v), height_m, a) for v in d.view_zenith] for a in d.altitude_m]
+    )
     return np.exp(-np.moveaxis(slant @ extinction, -1, 0))
 
 

@@ -4,7 +4,7 @@ The `meridian` frame is singular at the poles, so tables are interpolated in a f
 the reference axis is the horizontal north–south line, carried to the direction of look along its meridian
 from the pole (parallel transport). With the azimuth A clockwise from north of the direction one looks,
 
-- looking **up** (sky) the compass runs counter-clockwise, the meridian axis lies A counter-clockwise of
+- looking **up** (sky) the compass runs counter-clockwise, the meridian axis is A counter-clockwise of
   north, and the fixed axis is reached by turning the reference by **−A**:
   Q' = Q cos 2A − U sin 2A,  U' = U cos 2A + Q sin 2A;
 - looking **down** (path) it runs clockwise, and the turn is **+A**:
@@ -117,7 +117,7 @@ def interpolate_map(
     zenith_rad, azimuth_rad
         The map's grid, even; azimuth is periodic. [rad]
     at_zenith_rad, at_azimuth_rad
-        Where; beyond the last row the last row holds. [rad]
+        Directions of the result; the last row is used beyond it. [rad]
     looking
         ``"up"`` for the sky, ``"down"`` for the path.
     """

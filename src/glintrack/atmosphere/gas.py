@@ -1,7 +1,7 @@
 """Levels, slant paths, and absorption by H₂O, O₃, O₂, CO₂, CH₄ and N₂O in 10-nm bands.
 
 Within a band lines saturate, so that transmittance is not exponential in the amount. The packaged table
-(``tools/make_gas_tables.py``, from 6S) holds optical depth against amount. The solver gets the *effective*
+(``tools/make_gas_tables.py``, from 6S) contains optical depth over amount. The solver gets the *effective*
 absorption that gives the right transmittance of the sun's slant path, or a sum of exponentials of the amount:
 with weights a ≥ 0 and absorption per amount k, T(u) = Σ a exp(−k u), every term is an atmosphere of its own,
 and the band's light is the sum of theirs (Lacis and Oinas, J. Geophys. Res. 96, 9027 (1991)).
@@ -59,7 +59,7 @@ def exponential_profile(
 def slant_weights(
     cos_zenith: float, height_m: Float[Array, "level"], up_to_m: float = np.inf
 ) -> Float[Array, "level"]:
-    """Weights whose product with an extinction profile is the optical depth along a slant path. [m]
+    """Weights from an extinction profile to the optical depth along a slant path. [m]
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def path_transmittance(
 def exponential_sum(
     depth_of: Callable[[Float[Array, "amount"]], Float[Array, "amount"]], max_amount: float, max_terms: int
 ) -> tuple[Float[Array, "term"], Float[Array, "term"]]:
-    """Weights, summing to 1, and absorption per amount whose sum is a band's transmittance.
+    """Exponential sum of a band's transmittance: weights, summing to 1, and absorption per amount.
 
     Parameters
     ----------
@@ -215,9 +215,9 @@ def exponential_sum(
     certain = np.r_[1e3, np.ones(len(amount) - 1)]  # nothing takes nothing: the weights sum to 1
     terms, wanted = np.exp(-np.outer(amount, rate)) * certain[:, None], np.exp(-depth_of(amount)) * certain
     weights, _ = nnls(terms, wanted)
-    kept = np.argsort(weights)[::-1][:max_terms]
-    weights, _ = nnls(terms[:, kept], wanted)
-    return weights / weights.sum(), rate[kept]
+    chosen = np.argsort(weights)[::-1][:max_terms]
+    weights, _ = nnls(terms[:, chosen], wanted)
+    return weights / weights.sum(), rate[chosen]
 
 
 def gas_terms(
@@ -260,5 +260,5 @@ def gas_terms(
         added = np.outer(amounts[gas] * rate, profile)
         absorption = (absorption[:, None] + added[None]).reshape(-1, height_m.size)
         weights = np.outer(weights, share).ravel()
-    kept = weights > _MIN_WEIGHT
-    return weights[kept] / weights[kept].sum(), absorption[kept]
+    chosen = weights > _MIN_WEIGHT
+    return weights[chosen] / weights[chosen].sum(), absorption[chosen]

@@ -218,7 +218,7 @@ def _solve(
             air["ground"] = sk.constituent.LambertianSurface(albedo)
             part.append(engine.calculate_radiance(air)["radiance"].values)
         light.append(part)
-        # the storage itself holds the delta-M scaled extinction once solved
+        # after a solve the storage contains the delta-M scaled extinction
         extinction.append(np.array(air.unscaled_extinction, copy=True))
         if progress is not None:
             progress(min(1.0, (first + CHUNK) / medium.wavelength_um.size))

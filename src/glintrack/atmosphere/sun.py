@@ -24,7 +24,7 @@ def sun_direction(design: AtmosphereDesign) -> tuple[float, float]:
     Raises
     ------
     ValueError
-        If the sun stands below 10° of elevation at that place and time.
+        If the sun is below 10° of elevation at that place and time.
     """
     if design.sun_zenith_deg is not None and design.sun_azimuth_deg is not None:
         return math.radians(design.sun_zenith_deg), math.radians(design.sun_azimuth_deg) % (2 * math.pi)

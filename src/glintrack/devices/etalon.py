@@ -36,7 +36,7 @@ from glintrack.devices.thin_film import stack_response
 
 _RINGS, _SPOKES = 4, 8  # rays of a converging cone: 1e-5 in transmittance at F/2
 _TRIALS = 161  # values of α, a constant factor apart
-_LEVEL = 1e-3  # how little level and slope weigh beside curvature: they are all but free
+_LEVEL = 1e-3  # weight of level and slope relative to curvature: they are nearly free
 _FINE_STEP_UM = 1e-4  # for the width of a peak
 
 
@@ -196,7 +196,7 @@ def find_peaks(design: EtalonDesign, wavelength_um: ArrayLike, order: int = 1) -
 
 
 def drive_voltage(design: EtalonDesign, gaps_um: ArrayLike) -> Float[Array, "gap"]:
-    """Voltage that holds the etalon at each gap. [V]
+    """Voltage for each gap of the etalon. [V]
 
     Raises
     ------
@@ -283,7 +283,7 @@ def tabulate(design: EtalonDesign) -> xr.Dataset:
 
 
 def sweep_weights(responses: xr.Dataset, throughput: ArrayLike = 1.0) -> Float[Array, "gap wavelength"]:
-    """Weights whose product with a radiance spectrum is the photons that the pixel reads at each gap.
+    """Weights from a radiance spectrum to the photons of the pixel at each gap.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def reconstruct(
 ) -> xr.Dataset:
     """Spectra from gap sweeps.
 
-    The most smoothing is taken whose misfit is no larger than the noise, χ² = number of readings (Morozov's
+    The smoothing is the largest with a misfit within the noise, χ² = number of readings (Morozov's
     discrepancy principle).
 
     Parameters
@@ -324,7 +324,7 @@ def reconstruct(
     -------
     ``radiance`` and its standard deviation ``radiance_sigma`` over (spectrum, wavelength); ``misfit``
     (χ²/readings) and ``degrees_of_freedom`` (how many numbers the readings decided) over spectrum. Smoothing
-    biases sharp features; ``radiance_sigma`` holds the noise alone. Spectra are not forced to be positive.
+    biases sharp features; ``radiance_sigma`` is the noise alone. Spectra are not forced to be positive.
 
     Raises
     ------
@@ -363,27 +363,27 @@ def reconstruct(
 
 
 def _solve(values: Array, weights: Array, sigma: Array, smooth: Array, wavelength: Array) -> xr.Dataset:
-    """Spectra that share one noise, in standard form: L = smooth @ z, and z is kept small."""
+    """Spectra that share one noise, in standard form: L = smooth @ z with small z."""
     u, s, vt = np.linalg.svd(weights / sigma[:, None] @ smooth, full_matrices=False)
     scaled = values / sigma
     seen = scaled @ u
     never = np.maximum(np.sum(scaled**2, axis=1) - np.sum(seen**2, axis=1), 0)  # no spectrum explains this
     count = values.shape[1]
     alphas = np.geomspace(s[0] ** 2 * 1e-14, s[0] ** 2 * 1e2, _TRIALS)
-    kept = s**2 / (s**2 + alphas[:, None])  # of each singular direction, for each α
-    misfit = seen**2 @ ((1 - kept) ** 2).T + never[:, None]  # rises with α
+    share = s**2 / (s**2 + alphas[:, None])  # of each singular direction, for each α
+    misfit = seen**2 @ ((1 - share) ** 2).T + never[:, None]  # rises with α
     alpha = np.array([np.exp(np.interp(count, row, np.log(alphas))) for row in misfit])
-    kept = s**2 / (s**2 + alpha[:, None])
+    share = s**2 / (s**2 + alpha[:, None])
     back = smooth @ vt.T
     spectra, one = ("spectrum", "wavelength"), {"units": "1"}
-    deviation = np.sqrt((kept / s) ** 2 @ (back**2).T)
-    left = (np.sum((seen * (1 - kept)) ** 2, axis=1) + never) / count
+    deviation = np.sqrt((share / s) ** 2 @ (back**2).T)
+    left = (np.sum((seen * (1 - share)) ** 2, axis=1) + never) / count
     return xr.Dataset(
         {
-            "radiance": (spectra, (seen * kept / s) @ back.T, {"units": "of readings over weights"}),
+            "radiance": (spectra, (seen * share / s) @ back.T, {"units": "of readings over weights"}),
             "radiance_sigma": (spectra, deviation, {"units": "of radiance"}),
             "misfit": ("spectrum", left, one),
-            "degrees_of_freedom": ("spectrum", kept.sum(axis=1), one),
+            "degrees_of_freedom": ("spectrum", share.sum(axis=1), one),
         },
         coords={"wavelength": ("wavelength", wavelength, {"units": "um"})},
     )

@@ -83,7 +83,7 @@ class MetalDesign(Design):
     conductivity_s_per_m: float = Field(default=PAPER_ALUMINIUM_S_PER_M, ge=0, le=1e9)
     """σ, for `conductivity`."""
     table: Path | None = None
-    """CSV with columns wavelength_um, n, k (n + ik), for `table`; from where the design lies."""
+    """CSV with columns wavelength_um, n, k (n + ik), for `table`; relative to the design's folder."""
 
     @model_validator(mode="after")
     def _a_table_has_a_file(self) -> Self:

@@ -17,7 +17,7 @@ Polarization = Literal["s", "p"]
 
 @dataclass(frozen=True)
 class StackResponse:
-    """What a stack does to a plane wave; all arrays have the shape of the broadcast arguments.
+    """Response of a stack to a plane wave; all arrays have the shape of the broadcast arguments.
 
     Parameters
     ----------

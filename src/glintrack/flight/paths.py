@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.camera import Pose, look_at, nudged
+from glintrack.camera import Pose, look_at, rotate_line_of_sight
 from glintrack.core.arrays import Array
 from glintrack.flight.design import FlightDesign
 from glintrack.flight.waypoints import Waypoints, read_waypoints
@@ -101,7 +101,7 @@ class Flight:
         phase = rng.uniform(0, 2 * math.pi, (2, _JITTER_TONES))
         waves = np.cos(2 * math.pi * tone * time_s + phase).sum(axis=1)
         right, up = 1e-6 * self.design.jitter_rms_urad * math.sqrt(2 / _JITTER_TONES) * waves
-        return nudged(pose, right, up)
+        return rotate_line_of_sight(pose, right, up)
 
 
 def build_flight(

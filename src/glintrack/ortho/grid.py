@@ -180,6 +180,6 @@ def _interpolate(start, stop, values, size, row, column, out):
             for di in range(2):
                 for dj in range(2):
                     w = (fr if di else 1 - fr) * (fc if dj else 1 - fc)
-                    if w > 0:  # a hole beside a place exactly on a pixel does not matter
+                    if w > 0:  # a hole next to a place exactly on a pixel does not matter
                         total += w * values[i0 + di, j0 + dj]
             out[i, j] = total

@@ -50,7 +50,7 @@ def sample_nearest(source, band, side, below, pixels, first, last, out, row):
 
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def sample_bilinear(source, band, side, below, pixels, first, last, out, row):
-    """Bilinear values; beside missing pixels, the mean of the others by their weights."""
+    """Bilinear values; next to missing pixels, the weighted mean of the others."""
     at, down, right = pixels.at, pixels.down, pixels.right
     for j in range(np.uintp(first), np.uintp(last)):
         k, fr, fc = np.uintp(at[j]) + band, down[j], right[j]
@@ -64,7 +64,7 @@ def sample_bilinear(source, band, side, below, pixels, first, last, out, row):
 
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def sample_cubic(source, band, side, below, pixels, window, weights, first, last, out, row):
-    """Cubic convolution by `cubic_weights`; bilinear beside missing pixels."""
+    """Cubic convolution by `cubic_weights`; bilinear next to missing pixels."""
     at, down, right = pixels.at, pixels.down, pixels.right
     s1, s2, s3 = side, side + side, side + side + side
     for j in range(np.uintp(first), np.uintp(last)):
@@ -127,7 +127,7 @@ def present(v00, v01, v10, v11, fr, fc):
         total, weight = total + fr * (one - fc) * v10, weight + fr * (one - fc)
     if np.isfinite(v11):
         total, weight = total + fr * fc * v11, weight + fr * fc
-    # a dark mirror blanks what lies nearer to it than to its neighbours
+    # a dark mirror blanks what is nearer to it than to its neighbours
     return total / weight if weight > np.float32(0.5) else np.float32(np.nan)
 
 

@@ -68,8 +68,8 @@ class Photograph:
             size, found = values.shape[:2], cls(values, names, dtype, camera, placed)
         if size != (camera.rows, camera.columns):
             raise ValueError(
-                f"`FRAME` must be {camera.columns} pixels wide and {camera.rows} high as the camera file "
-                f"says, got {size[1]} and {size[0]}"
+                f"`FRAME` must be {camera.columns} pixels wide and {camera.rows} high as in the camera "
+                f"file, got {size[1]} and {size[0]}"
             )
         return found
 

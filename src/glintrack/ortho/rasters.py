@@ -76,7 +76,7 @@ class MapGrid:
         if not (west < east and south < north):
             raise ValueError(f"`area` must be west south east north and not empty, got {area}")
         if (east - west) / gsd * (north - south) / gsd > _MAX_CELLS:
-            low = f" (the lens at {placed.pose.up_m:g} m lies below ground of {levels_m[1]:g} m)"
+            low = f" (the lens at {placed.pose.up_m:g} m is below ground of {levels_m[1]:g} m)"
             raise ValueError(
                 f"`gsd` must be larger, or `area` smaller, got {(east - west) / gsd:.3g} × "
                 f"{(north - south) / gsd:.3g} cells{low if placed.pose.up_m < levels_m[1] else ''}"
@@ -144,7 +144,7 @@ def _if_exchanged(path: Path, option: str, placed: PlacedPose) -> str:
     if not is_within(path, option, north, east, placed.crs):
         return f" (the pose is at {east:.9g} m east, {north:.9g} m north in its own CRS)"
     return (
-        f" (with easting_m = {north:.9g} and northing_m = {east:.9g} the pose lies over {path.name}: are "
+        f" (with easting_m = {north:.9g} and northing_m = {east:.9g} the pose is over {path.name}: are "
         "they exchanged?)"
     )
 
@@ -174,7 +174,7 @@ def displacement_against(bands: Array, path: Path, grid: MapGrid) -> tuple[float
     rows, columns, _ = displacement_between(bands[..., 0], reference)
     if not math.isfinite(rows):
         raise ValueError(
-            "`register` must show the same ground as the frame, got no displacement that stands out "
+            "`register` must show the same ground as the frame, got no significant displacement "
             f"against {path.name}"
         )
     return rows, columns

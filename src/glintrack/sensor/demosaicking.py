@@ -98,7 +98,7 @@ def _window_means(values: Array) -> Array:
 
 
 def _guide(readings: Array, vector: Array) -> Array:
-    """The guide at every element, beyond the edges as in a mirror."""
+    """Guide at every element; the edges mirror."""
     least = _MIN_DISTANCE * float(np.abs(readings).mean()) + _TINY
     wide = np.pad(readings, _REACH, mode="reflect")
     unlike = wide * np.tile(vector, [n // SIDE for n in wide.shape])

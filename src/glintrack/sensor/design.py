@@ -65,8 +65,8 @@ class OpticsDesign(Design):
             )
         if self.lens and (nodes or self.distortion != Distortion() or self.vignetting):
             raise ValueError(
-                "`sensor.optics.lens` must not stand beside field_zernikes_rms_nm, distortion or vignetting, "
-                f"which it sets, got {self.lens}"
+                "`sensor.optics.lens` must not be given with field_zernikes_rms_nm, distortion or "
+                f"vignetting, which it sets, got {self.lens}"
             )
         return self
 

@@ -83,7 +83,7 @@ def frame_of(
 
 
 def detector_readout(light: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
-    """Readings (row, column) from light (y, x, channel, stokes): `light_on_elements`, then `read_out`."""
+    """Compute readings from light (y, x, channel, stokes): `light_on_elements`, then `read_out`."""
     return read_out(light_on_elements(light, sensor), sensor, rng)
 
 

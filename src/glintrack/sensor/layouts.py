@@ -1,4 +1,4 @@
-"""Superpixels by name: what stands over each element, and whether its polarizers determine S0, S1 and S2."""
+"""Superpixels by name: kinds of elements, and the condition of their polarizers for S0, S1 and S2."""
 
 import math
 from typing import Literal

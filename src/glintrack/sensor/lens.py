@@ -259,8 +259,8 @@ def with_lens(design: SensorDesign) -> SensorDesign:
     -----
     The middle of the prescription's fields images to the middle of the array; the image's x is to the right
     and its y up. Rays are those of the middle of the band, for all wavelengths. The design's focal length
-    and principal point stand for the scale down the image and the shift that fit best; another scale across
-    and Brown's polynomials for what is left.
+    and principal point represent the best-fitting scale down the image and shift; the distortion adds another
+    scale across and Brown's polynomials.
     """
     optics = design.optics
     if not optics.lens:

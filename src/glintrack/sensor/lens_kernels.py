@@ -203,7 +203,7 @@ def _separate(kernels: Array) -> tuple[Array, Array, Array]:
         u, s, v = np.linalg.svd(rest)
         terms += [(size[k] * s[t], size[k] * s[t] * u[:, t], v[t], left[:, k]) for t in range(taps)]
     terms.sort(key=lambda term: -term[0])
-    left_out = np.cumsum([term[0] ** 2 for term in terms[:0:-1]])[::-1]  # if only so many are kept
+    left_out = np.cumsum([term[0] ** 2 for term in terms[:0:-1]])[::-1]  # after so many terms
     kept = terms[: 1 + int(np.count_nonzero(left_out > RANK_ERROR**2 * (size**2).sum()))]
     downs, acrosses, strengths = (np.stack([term[k] for term in kept]) for k in (1, 2, 3))
     wanted = kernels.sum(axis=(-2, -1)).ravel()
@@ -344,7 +344,7 @@ def _between(cells: Array, elements: int) -> Array:
 
 
 def _per_cell(wings: Array, reach: int) -> Array:
-    """Sums of samples over cells, normalised to 1."""
+    """Sum samples over cells, and normalise to 1."""
     cells = 2 * reach + 1
     sums = wings.reshape(cells, _PARTS, cells, _PARTS).sum(axis=(1, 3))
     return sums / sums.sum()

@@ -126,7 +126,7 @@ def navigation_errors(
 
 
 def navigate(true_pose: Pose, error: Float[Array, "6"]) -> Pose:
-    """Reported pose: the true one with the error of one frame from `navigation_errors` [m, rad]."""
+    """Add the error of one frame from `navigation_errors` [m, rad] to the true pose."""
     changed = {n: getattr(true_pose, n) + float(e) for n, e in zip(COMPONENTS, error, strict=True)}
     return replace(true_pose, **changed, kind="reported")
 

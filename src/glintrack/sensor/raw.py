@@ -21,19 +21,10 @@ from glintrack.core.designs import Design
 from glintrack.core.schema import COUNT, RADIANCE, check
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.raw_mosaics import read_raw
+from glintrack.sensor import layouts
 from glintrack.sensor.demosaicking import demosaic
 from glintrack.sensor.design import Angle
 from glintrack.sensor.exposure import NOISE_FLOORS, label_frame
-from glintrack.sensor.layouts import (
-    Demosaicker,
-    Superpixel,
-    analyser_matrix,
-    check_demosaicker,
-    invert,
-    pan_element,
-    places,
-    superpixel,
-)
 from glintrack.stokes import aop, dolp
 
 _SINGULAR = 1e-5  # determinant over the cube of the mean eigenvalue, of rows that do not determine a vector
@@ -44,7 +35,7 @@ class RawDesign(Design):
 
     layout: str | tuple[tuple[Angle | str, ...], ...] = "0-45-90-135"
     """Superpixel: one of `layouts.LAYOUTS`, or rows of ``open``, ``mirror`` and angles [deg]."""
-    demosaic: Demosaicker = "bilinear"
+    demosaic: layouts.Demosaicker = "bilinear"
     """Interpolation of the elements of a superpixel to one place."""
     black_level: float = Field(default=0.0, ge=0, le=65535)
     """Count without light, where no calibration gives it for each element."""
@@ -154,9 +145,9 @@ def measure_polarization(
     design = RawDesign() if design is None else design
     name = str(name or ("the array" if isinstance(raw, np.ndarray) else raw))
     counts = raw if isinstance(raw, np.ndarray) else read_raw(raw)
-    layout = superpixel(design.layout, "layout")
-    check_demosaicker(design.demosaic, layout, "demosaic")
-    inverse = invert(analyser_matrix(layout, 1.0), "layout")
+    layout = layouts.superpixel(design.layout, "layout")
+    layouts.check_demosaicker(design.demosaic, layout, "demosaic")
+    inverse = layouts.invert(layouts.analyser_matrix(layout, 1.0), "layout")
     full = _find_full(counts, layout, design, name)
     readings = _ideal_readings(counts, layout, design, calibration, name)
     readings[full] = np.nan
@@ -169,7 +160,7 @@ def measure_polarization(
         "saturated_share": float(full.mean()),
     }
     pan = stokes[..., 0]
-    place = pan_element(layout)
+    place = layouts.pan_element(layout)
     if place is not None:
         pan = readings[place[0] :: len(layout), place[1] :: len(layout)] * np.float32(gain)
     units = COUNT if design.gain is None else RADIANCE
@@ -197,7 +188,7 @@ def white_level(counts: UInt[Array, "row column"]) -> int:
     return next((1 << bits) - 1 for bits in (8, 10, 12, 14, 16) if every < 1 << bits)
 
 
-def _find_full(counts: Array, layout: Superpixel, design: RawDesign, name: str) -> Array:
+def _find_full(counts: Array, layout: layouts.Superpixel, design: RawDesign, name: str) -> Array:
     """Mask of full elements; refuse a frame without whole superpixels, or with too many full elements."""
     side = len(layout)
     for axis, what in enumerate(("rows", "columns")):
@@ -224,9 +215,9 @@ def _find_full(counts: Array, layout: Superpixel, design: RawDesign, name: str) 
 
 
 def _ideal_readings(
-    counts: Array, layout: Superpixel, design: RawDesign, calibration: Analysers | None, name: str
+    counts: Array, layout: layouts.Superpixel, design: RawDesign, calibration: Analysers | None, name: str
 ) -> Float[Array, "row column"]:
-    """Reading of every element behind its ideal analyser, unpolarized light as S0. [count]"""
+    """Convert counts to readings behind ideal analysers, unpolarized light as S0. [count]"""
     tiles = tuple(n // len(layout) for n in counts.shape)
     if calibration is None:
         part = np.array([[0.5 if isinstance(what, str) else 1.0 for what in row] for row in layout])
@@ -242,7 +233,9 @@ def _ideal_readings(
     vector = _superpixel_vectors(light, calibration.row, len(layout))
     ideal = np.zeros((len(layout), len(layout), 3))
     ideal[..., 0] = 1
-    for place, row in zip(places(layout, "polarizer"), analyser_matrix(layout, 1.0), strict=True):
+    for place, row in zip(
+        layouts.places(layout, "polarizer"), layouts.analyser_matrix(layout, 1.0), strict=True
+    ):
         ideal[place] = row
     local = np.repeat(np.repeat(vector, len(layout), axis=0), len(layout), axis=1)
     own = light - np.einsum("yxs,yxs->yx", calibration.row, local)

@@ -90,7 +90,7 @@ def electrons(design: SensorDesign, photon_integral_um2: float, time_ms: float) 
 def photon_weights(
     wavelength_um: Float[Array, "wavelength"], response: Float[Array, "wavelength"]
 ) -> Float[Array, "wavelength"]:
-    """Photon weights whose magnitudes sum to 1; the band mean, if the response is nowhere negative. [1]"""
+    """Photon weights, their magnitudes summing to 1; a band mean, if the response is never negative. [1]"""
     weights = response * wavelength_um
     total = channel_weights(wavelength_um, np.abs(weights)[None])[0]
     return np.where(weights < 0, -total, total)

@@ -236,7 +236,7 @@ def _elements(design: SensorDesign, polarizer: Polarizer, wavelength_um: Array) 
             bare_row = {(0, 0): photon_gain(design, wavelength_um, bare)}
             rows[i, j] = bare_row if isinstance(what, str) else _rotate_row(own, 2 * math.radians(what))
     seen = {plane for gains in rows.values() for plane, gain in gains.items() if gain}
-    # Q and U of a channel always both: an element whose axis is off mixes them
+    # Q and U of a channel always both: they mix in an element with an axis error
     planes = tuple(sorted({(c, k) for c, part in seen for k in ((0,) if part == 0 else (1, 2))}))
     side = len(design.superpixel)
     gains = np.array([[[rows[i, j].get(p, 0.0) for p in planes] for j in range(side)] for i in range(side)])

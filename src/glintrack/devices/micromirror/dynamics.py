@@ -148,7 +148,7 @@ def step_response(
     def touches(_t: float, state: Array) -> float:
         return gap * (1 - _CLOSED) - (electrodes @ state[:3]).max()
 
-    touches.terminal = True  # pyright: ignore[reportFunctionMemberAccess] - how solve_ivp is told
+    touches.terminal = True  # pyright: ignore[reportFunctionMemberAccess] - solve_ivp reads it
     start = np.r_[before.piston_m, before.tip_rad, before.tilt_rad, 0, 0, 0]
     smallest = np.r_[1e-6 * gap, 2 * [1e-6], 1e-6 * gap * 1e5, 2 * [0.1]]
     longest = 0.25 / about.frequency_hz.max()  # at rest longer steps would swing up

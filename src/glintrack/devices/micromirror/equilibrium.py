@@ -2,7 +2,7 @@
 
 The plate is rigid here and hangs on three springs; `plate` bends it. Piston is counted toward the
 electrodes, tip and tilt are the slopes of the plate along +x and +y in the same sense. Electrodes and springs
-stand at 90°, 210° and 330°, counter-clockwise from +x; each electrode's force is that of a parallel-plate
+are at 90°, 210° and 330°, counter-clockwise from +x; each electrode's force is that of a parallel-plate
 capacitor with the gap at its middle.
 """
 
@@ -31,7 +31,7 @@ class ActuatorDesign(Design):
     """Of the spot where a spring joins the plate."""
     electrode_area_um2: float = Field(default=30.0, gt=0, le=1e6, description="Area of each electrode")
     electrode_radius_um: float = Field(default=4.0, gt=0, le=1000)
-    """Of the circle on which the electrodes' middles lie."""
+    """Of the circle on which the electrodes' middles."""
     electrode_gap_um: float = Field(default=1.5, gt=0.01, le=100)
     """Plate to electrodes without voltage."""
     quality_factor: float | None = Field(default=None, gt=0.05, le=1e6)
@@ -150,12 +150,12 @@ def pull_in_voltage(spring_n_per_m: float, area_m2: float, gap_m: float) -> floa
 def holding_voltage(
     travel_m: Float[Array, "*shape"], spring_n_per_m: float, area_m2: float, gap_m: float
 ) -> Float[Array, "*shape"]:
-    """Voltage that holds a parallel-plate actuator at a travel: √(2kx(g−x)²/(ε₀A)). [V]
+    """Voltage of a parallel-plate actuator at a travel: √(2kx(g−x)²/(ε₀A)). [V]
 
     Parameters
     ----------
     travel_m
-        0 to a third of the gap; beyond it no voltage holds the plate. [m]
+        0 to a third of the gap; beyond it the plate is pulled in. [m]
 
     Raises
     ------

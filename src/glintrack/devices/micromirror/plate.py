@@ -166,16 +166,16 @@ class Sheet:
         return np.column_stack([self._plate.project(motion) for motion in motions])
 
     def _free(self, bending: Any, held: Any, force: Array) -> Array:
-        """Solve with separate rigid motions: beside stiff bending, soft springs would round to nothing."""
+        """Solve with separate rigid motions: soft springs would be lost in the rounding of stiff bending."""
         corners = self._plate.nodal_dofs[0][[0, self.cells, -1]]
-        kept = np.setdiff1d(np.arange(force.size), corners)
+        inner = np.setdiff1d(np.arange(force.size), corners)
         planes = self._planes
         mixed, rigid = held @ planes, planes.T @ (held @ planes)
-        solve = splu((bending + held)[kept][:, kept].tocsc()).solve
-        against, under = solve(mixed[kept]), solve(force[kept])
-        amount = np.linalg.solve(rigid - mixed[kept].T @ against, planes.T @ force - mixed[kept].T @ under)
+        solve = splu((bending + held)[inner][:, inner].tocsc()).solve
+        against, under = solve(mixed[inner]), solve(force[inner])
+        amount = np.linalg.solve(rigid - mixed[inner].T @ against, planes.T @ force - mixed[inner].T @ under)
         solved = planes @ amount
-        solved[kept] += under - against @ amount
+        solved[inner] += under - against @ amount
         return solved
 
     def conduct(

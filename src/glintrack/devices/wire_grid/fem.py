@@ -35,15 +35,15 @@ from glintrack.devices.wire_grid.design import WireGridDesign
 occ: Any = _netgen_occ  # its classes come from a compiled module that type checkers cannot read
 Polarization = Literal["pass", "block"]
 _ON_LINE_UM = 1e-7  # two coordinates closer than this are the same line of the drawing
-_INSIDE_UM = 1e-6  # the output is read this far inside, so that every point lies in one element
-PAST_SOURCE_UM = 0.5  # the input is read this far behind the source line, whose ends are singular
+_INSIDE_UM = 1e-6  # the output is read this far inside, so that every point is in one element
+PAST_SOURCE_UM = 0.5  # the input is read this far behind the source line, which has singular ends
 _PORT_STEP_UM = 0.05
 _PORT_POINTS = 6  # Gauss points a step: exact to degree 11 on a piece a quarter of an element long
 
 
 @dataclass(frozen=True)
 class Space:
-    """A meshed half space x ≥ 0 and where its ports lie.
+    """A meshed half space x ≥ 0 and its ports.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def solve(
         field,
         port_field(space, field, k, polarization, space.input_um + PAST_SOURCE_UM, 1.0),
         port_field(space, field, k, polarization, space.output_um - _INSIDE_UM, space.exit_permittivity),
-        _absorbed_power(space, field, k, polarization, permittivity),
+        _absorption(space, field, k, polarization, permittivity),
     )
 
 
@@ -254,7 +254,7 @@ def port_field(
     return PortField(slope / eps, u, weights)
 
 
-def _absorbed_power(
+def _absorption(
     space: Space, field: ng.GridFunction, k: float, polarization: Polarization, permittivity: complex
 ) -> float:
     """k ∫ Im ε |E|² over half the wires: power lost there, per incident irradiance. [µm]"""
@@ -373,7 +373,7 @@ def field_maps(design: WireGridDesign, wavelength_um: float, step_um: float = 0.
     Returns
     -------
     Over ``z`` (along the light, 0 where the wires begin) and ``x`` (across the wires), both in µm:
-    ``electric_across`` and ``electric_along``, the snapshot Re E of the transverse field where E lies across
+    ``electric_across`` and ``electric_along``, the snapshot Re E of the transverse field where E is across
     and along the wires; ``electric_across_quadrature`` and ``electric_along_quadrature``, Im E, which is the
     snapshot a quarter period later; ``energy_across`` and ``energy_along``, the time-averaged energy density
     (½(|ε||E|² + |H|²)) over the incident wave's. NaN in the plate. [1]
@@ -382,7 +382,7 @@ def field_maps(design: WireGridDesign, wavelength_um: float, step_um: float = 0.
     eps = complex(permittivity(design.metal, wavelength_um))
     order, k = design.fem.order_at(wavelength_um), 2 * np.pi / wavelength_um
     half_x, thick = design.port_um / 2, design.wire_height_nm * 1e-3
-    # cell centres: no point lies on the drawing's own lines
+    # cell centres: no point is on the drawing's own lines
     x = step_um * (np.arange(round(half_x / step_um)) + 0.5)
     z = step_um * (np.arange(round(design.depth_um / step_um)) + 0.5) - design.depth_um / 2
     grid_z, grid_x = np.meshgrid(z, x, indexing="ij")

@@ -226,9 +226,9 @@ def sweep(
     ]
     rows: dict[int, dict] = {}
     for i, stem in enumerate(stems):
-        kept = cache.find(stem, ".json", folder)
-        if kept is not None:
-            rows[i] = json.loads(kept.read_text(encoding="utf-8"))
+        file = cache.find(stem, ".json", folder)
+        if file is not None:
+            rows[i] = json.loads(file.read_text(encoding="utf-8"))
     missing = [i for i in range(len(stems)) if i not in rows]
     if not missing:
         return [rows[i] for i in range(len(stems))]
@@ -288,7 +288,7 @@ def _serve(
     """Send one process its tasks and take the answers."""
     assert process.stdin is not None and process.stdout is not None
     lines = [json.dumps([um, eps.real, eps.imag]) for um, eps in tasks.values()]
-    with suppress(OSError):  # it has died; the missing answer tells
+    with suppress(OSError):  # it has died: an answer will be missing
         process.stdin.write("\n".join([design.model_dump_json(exclude={"metal"}), *lines, ""]))
         process.stdin.close()
     open_tasks, messages = list(tasks), []
