@@ -12,7 +12,7 @@ from glintrack.cli import app
 from glintrack.core.distortion import Distortion
 from glintrack.core.schema import check
 from glintrack.io.photographs import read_camera, read_pose
-from glintrack.ortho import rectify_frame
+from glintrack.ortho.rectify import GridCells, rectify_frame
 from glintrack.scene import load_materials
 from glintrack.sensor import design_names
 from tests.conftest import ThreeCars
@@ -121,7 +121,8 @@ def test_a_frame_is_exposed_and_rectified_with_its_camera_and_pose(glintrack, sm
     assert code == 0, err
     image = xr.load_dataset(result)
     east, north = np.meshgrid(image["x"] - placed.origin_m[0], image["y"] - placed.origin_m[1])
-    pan, stokes = rectify_frame(frame, camera, placed.pose, east, north, np.zeros_like(east))
+    cells = GridCells.of(east, north, np.zeros_like(east))
+    pan, stokes, _ = rectify_frame(frame, camera, placed.pose, cells, "bilinear")
     assert np.isfinite(pan).mean() > 0.5
     np.testing.assert_allclose(image["pan"].values, pan, rtol=1e-5)
     np.testing.assert_allclose(image["Q"].values, stokes[..., 1], rtol=1e-4, atol=1e-4)

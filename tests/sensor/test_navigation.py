@@ -94,12 +94,12 @@ def test_the_error_is_reported_less_true_and_leaves_the_gimbal():
 
 
 def test_presets_give_what_is_left_out_and_keys_win():
-    preset = NavigationDesign(preset="pos-av-510").drift.components
+    preset = NavigationDesign(preset="pos-av-510").drift
     np.testing.assert_allclose(np.degrees(preset[3:]), [0.008, 0.005, 0.005])
-    changed = NavigationDesign(preset="pos-av-510", drift_angle_rms_deg=0.07).drift.components
+    changed = NavigationDesign(preset="pos-av-510", drift_angle_rms_deg=0.07).drift
     np.testing.assert_allclose(np.degrees(changed[3:]), 0.07)
     assert changed[0] == 0.1
-    assert NavigationDesign(preset="jitter").harmonic.heading_deg == 0.005
+    assert NavigationDesign(preset="jitter").harmonic[3] == math.radians(0.005)
 
 
 @pytest.mark.parametrize("keys", [{"preset": "good"}, {"position_rms_m": -1}, {"drift_time_s": 0}])

@@ -51,20 +51,8 @@ MAX_COMPONENTS = 16
 
 
 @dataclass(frozen=True)
-class Factors:
-    """field[λ] = Σ_k spectrum[k, λ]·map[k], and its largest errors.
-
-    Parameters
-    ----------
-    spectrum
-        Shape (component, wavelength), in the field's unit.
-    maps
-        Shape (component, *directions, stokes), largest magnitude 1. [1]
-    intensity_error
-        Largest relative error of I. [1]
-    dolp_error
-        Largest error of the degree of linear polarization. [1]
-    """
+class _Factors:
+    """field[λ] = Σ_k spectrum[k, λ]·map[k], largest magnitude of maps 1; largest errors of I and DoLP."""
 
     spectrum: Float[Array, "component wavelength"]
     maps: Float[Array, "component *direction 3"]
@@ -72,16 +60,11 @@ class Factors:
     dolp_error: float
 
 
-def factorize(field: Float[Array, "wavelength *direction 3"]) -> Factors:
+def _factorize(field: Float[Array, "wavelength *direction 3"]) -> _Factors:
     """Factorize a field into the fewest components with I and DoLP within their limits.
 
     Each wavelength is divided by its mean I, and each direction by its own, so that the singular vectors
     represent changes of shape and a dark horizon has the same weight as the bright aureole.
-
-    Parameters
-    ----------
-    field
-        Stokes radiance, I > 0. [radiance]
     """
     bands, directions = field.shape[0], field.shape[1:-1]
     flat = field.reshape(bands, -1, 3)
@@ -100,7 +83,7 @@ def factorize(field: Float[Array, "wavelength *direction 3"]) -> Factors:
         dolp_error = float(abs(dolp[1] - dolp[0]).max())
         if intensity_error <= LARGEST_INTENSITY_ERROR and dolp_error <= LARGEST_DOLP_ERROR:
             break
-    return Factors(spectrum, maps.reshape(count, *directions, 3), intensity_error, dolp_error)
+    return _Factors(spectrum, maps.reshape(count, *directions, 3), intensity_error, dolp_error)
 
 
 def assemble_tables(
@@ -140,7 +123,7 @@ def assemble_tables(
     sun_depth = gas.slant_weights(directions.cos_sun_zenith, height) @ medium.gas_absorption
     azimuth, sky_full = _full_circle(fields.sky, directions.azimuth, sun_azimuth)
     _, path_full = _full_circle(path, directions.azimuth, sun_azimuth)
-    sky, path_factors = factorize(sky_full), factorize(path_full)
+    sky, path_factors = _factorize(sky_full), _factorize(path_full)
     sky = replace(sky, spectrum=sky.spectrum * (sun_top * absorbed.diffuse / light.diffuse))
     path_factors = replace(path_factors, spectrum=path_factors.spectrum * sun_top)
     d, amounts = replace(directions, azimuth=azimuth), gas.gas_amounts(design.water_cm)
@@ -250,7 +233,7 @@ def _full_circle(
 
 
 def _dataset(
-    design: AtmosphereDesign, d: Directions, sky: Factors, path: Factors, spectra: dict[str, Array]
+    design: AtmosphereDesign, d: Directions, sky: _Factors, path: _Factors, spectra: dict[str, Array]
 ) -> xr.Dataset:
     """Dataset of the tables, with units and descriptions."""
     sun_zenith, sun_azimuth = sun_direction(design)

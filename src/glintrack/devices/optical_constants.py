@@ -29,16 +29,9 @@ _EV_UM = h * c / e * 1e6  # photon energy [eV] times wavelength [µm]
 
 @dataclass(frozen=True)
 class LorentzDrude:
-    """Parameters of a Lorentz–Drude model; the first oscillator is the free electrons (frequency 0).
+    """Plasma frequency ħω_p [eV], f [1], ħΓ [eV] and ħω [eV] of each oscillator, and range of the fit [µm].
 
-    Parameters
-    ----------
-    plasma_ev
-        Plasma frequency ħω_p. [eV]
-    strength, damping_ev, frequency_ev
-        Of each oscillator: f [1], ħΓ [eV], ħω [eV].
-    range_um
-        Wavelengths over which the model was fitted. [µm]
+    The first oscillator is the free electrons (frequency 0).
     """
 
     plasma_ev: float

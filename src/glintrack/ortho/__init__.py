@@ -9,14 +9,7 @@ from glintrack.ortho.grid import (
     transform_places,
 )
 from glintrack.ortho.occlusion import occlusion_mask
-from glintrack.ortho.rectify import (
-    METHODS,
-    orthorectify,
-    rectify_array,
-    rectify_frame,
-    rectify_onto,
-    register,
-)
+from glintrack.ortho.rectify import METHODS, orthorectify, rectify_array, rectify_onto, register
 
 __all__ = [
     "METHODS",
@@ -27,7 +20,6 @@ __all__ = [
     "on_ground",
     "orthorectify",
     "rectify_array",
-    "rectify_frame",
     "rectify_onto",
     "register",
     "transform_axes",

@@ -1,6 +1,5 @@
 """The ground grid: places of its cells in any CRS, and the heights under them."""
 
-import numba as nb
 import numpy as np
 import pyproj
 import xarray as xr
@@ -12,7 +11,6 @@ from scipy.interpolate import RegularGridInterpolator
 from glintrack.camera import Camera, Pose, rays
 from glintrack.core.arrays import Array
 from glintrack.core.interpolation import height_at
-from glintrack.core.parallel import over_rows
 from glintrack.io.crs import change_crs
 
 _LATTICE = 32  # cells between places that are transformed exactly
@@ -156,30 +154,15 @@ def heights_at(heights: Float[Array, "row column"], row: ArrayLike, column: Arra
     NaN outside the raster. [m]
     """
     row, column = np.broadcast_arrays(np.asarray(row, float), np.asarray(column, float))
-    out = np.empty(row.shape)
-    values = np.ascontiguousarray(heights, float)
-    if min(values.shape) < 2:
-        values = np.pad(values, [(0, 2 - min(n, 2)) for n in values.shape], mode="edge")
-    over_rows(_interpolate, len(out), values, np.array(heights.shape), row, column, out)
-    return out
-
-
-@nb.njit(nogil=True, cache=True)
-def _interpolate(start, stop, values, size, row, column, out):
-    last_r, last_c = size[0] - 1.0, size[1] - 1.0
-    for i in range(start, stop):
-        for j in range(out.shape[1]):
-            r, c = row[i, j], column[i, j]
-            if not (-0.5 <= r <= last_r + 0.5 and -0.5 <= c <= last_c + 0.5):
-                out[i, j] = np.nan
-                continue
-            r, c = min(max(r, 0.0), last_r), min(max(c, 0.0), last_c)
-            i0, j0 = min(int(r), values.shape[0] - 2), min(int(c), values.shape[1] - 2)
-            fr, fc = r - i0, c - j0
-            total = 0.0
-            for di in range(2):
-                for dj in range(2):
-                    w = (fr if di else 1 - fr) * (fc if dj else 1 - fc)
-                    if w > 0:  # a hole next to a place exactly on a pixel does not matter
-                        total += w * values[i0 + di, j0 + dj]
-            out[i, j] = total
+    last_r, last_c = (n - 1.0 for n in heights.shape)
+    values = np.asarray(heights, float)
+    values = np.pad(values, [(0, 2 - min(n, 2)) for n in values.shape], mode="edge")
+    inside = (row >= -0.5) & (row <= last_r + 0.5) & (column >= -0.5) & (column <= last_c + 0.5)
+    r, c = (np.clip(np.nan_to_num(v), 0.0, last) for v, last in ((row, last_r), (column, last_c)))
+    i, j = np.minimum(r.astype(int), values.shape[0] - 2), np.minimum(c.astype(int), values.shape[1] - 2)
+    down, right, total = r - i, c - j, np.zeros(row.shape)
+    for di, dj in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        weight = (down if di else 1 - down) * (right if dj else 1 - right)
+        # a hole next to a place exactly on a pixel does not matter
+        total = total + np.where(weight > 0, weight * values[i + di, j + dj], 0.0)
+    return np.where(inside, total, np.nan)

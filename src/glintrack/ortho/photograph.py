@@ -21,7 +21,7 @@ from glintrack.ortho.rasters import (
     heights_under,
     occlusion_by_raster,
 )
-from glintrack.ortho.rectify import rectify_frame, rectify_onto
+from glintrack.ortho.rectify import GridCells, rectify_frame, rectify_onto
 
 _EXACT = ("uint8", "uint16", "int16")  # types with numbers that are exact in float32
 
@@ -80,7 +80,8 @@ class Photograph:
         pose = self.placed.pose
         if self.frame is None:
             return rectify_onto(self.values, self.camera, pose, east, north, ground, method)
-        pan, stokes = rectify_frame(self.frame, self.camera, pose, east, north, ground, method)
+        cells = GridCells.of(east, north, ground)
+        pan, stokes, _ = rectify_frame(self.frame, self.camera, pose, cells, method)
         return np.concatenate([pan[..., None], stokes[..., :3]], axis=-1)
 
 

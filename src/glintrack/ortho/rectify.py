@@ -174,10 +174,9 @@ def orthorectify(
     ValueError
         If the grid is empty or the method unknown.
     """
-    check(frame, "frame")
     x, y = ground_grid(area_m, gsd_m)
     cells, floor = GridCells.over(terrain, x, y), float(frame.attrs.get("dolp_floor", 0.0))
-    pan, stokes, dolp = _rectify_frame(frame, camera, reported_pose, cells, method, floor)
+    pan, stokes, dolp = rectify_frame(frame, camera, reported_pose, cells, method, floor)
     stokes_attrs = {"units": RADIANCE, "stokes_frame": "meridian"}
     image = xr.Dataset(
         {
@@ -198,23 +197,10 @@ def orthorectify(
 
 
 def rectify_frame(
-    frame: xr.Dataset,
-    camera: Camera,
-    reported_pose: Pose,
-    east: Float[Array, "y x"],
-    north: Float[Array, "y x"],
-    height: Float[Array, "y x"],
-    method: str = "bilinear",
-) -> tuple[Float[Array, "y x"], Float[Array, "y x stokes"]]:
-    """Pan and Stokes vectors, in the ``meridian`` frame, of a frame at any places; see `rectify_onto`."""
+    frame: xr.Dataset, camera: Camera, pose: Pose, cells: GridCells, method: str, dolp_floor: float = 0.0
+) -> tuple[Float[Array, "y x"], Float[Array, "y x stokes"], Float[Array, "y x"]]:
+    """Pan and Stokes vectors, in the ``meridian`` frame, of a frame at any cells, and DoLP above a floor."""
     check(frame, "frame")
-    return _rectify_frame(frame, camera, reported_pose, GridCells.of(east, north, height), method, 0.0)[:2]
-
-
-def _rectify_frame(
-    frame: xr.Dataset, camera: Camera, pose: Pose, cells: GridCells, method: str, dolp_floor: float
-) -> tuple[Array, Array, Array]:
-    """Pan, Stokes vectors, and their DoLP where it is above the floor."""
     pitch, found = float(frame["y"][1] - frame["y"][0]), {}
     dolp = np.empty(cells.shape, np.float32)
     for name in ("pan", "stokes_radiance"):

@@ -16,15 +16,7 @@ _COPY = 0  # seed of the one copy of the sensor
 
 @dataclass(frozen=True)
 class Departure:
-    """Difference of each element's analyser row from that of its kind.
-
-    Parameters
-    ----------
-    gain, diattenuation
-        Factors on the whole row and on its polarized part. [1]
-    turn_rad
-        Rotation of its axis, counter-clockwise looking at the source. [rad]
-    """
+    """Factors on each element's analyser row and on its polarized part, and rotation of its axis."""
 
     gain: Float[Array, "row column"]
     diattenuation: Float[Array, "row column"]

@@ -10,7 +10,7 @@ line of sight on the corners is left out.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -27,30 +27,15 @@ from glintrack.core.records import Radiance
 COMPONENTS = ("east_m", "north_m", "up_m", "heading_rad", "roll_rad", "pitch_rad")
 
 
-@dataclass(frozen=True)
-class PoseRms:
-    """RMS of one part of the pose error.
-
-    Parameters
-    ----------
-    position_m, roll_pitch_deg, heading_deg
-        Along each axis; of roll and of pitch; of heading. [m, deg, deg]
-    """
-
-    position_m: float = 0.0
-    roll_pitch_deg: float = 0.0
-    heading_deg: float = 0.0
-
-    @property
-    def components(self) -> Float[Array, "6"]:
-        """In the order of `COMPONENTS`. [m, rad]"""
-        angles = np.radians([self.heading_deg, self.roll_pitch_deg, self.roll_pitch_deg])
-        return np.array([*[self.position_m] * 3, *angles])
+def pose_rms(position_m: float, roll_pitch_deg: float, heading_deg: float) -> Float[Array, "6"]:
+    """RMS of the pose error in the order of `COMPONENTS`. [m, rad]"""
+    angles = np.radians([heading_deg, roll_pitch_deg, roll_pitch_deg])
+    return np.array([*[position_m] * 3, *angles])
 
 
 # Typical of the class of Applanix POS AV 510 and 610, post-processed; not compared with the data sheet.
 # Post-processed errors are slow: all of them drift here.
-PRESET_DRIFT = {"pos-av-510": PoseRms(0.1, 0.005, 0.008), "pos-av-610": PoseRms(0.1, 0.0025, 0.005)}
+PRESET_DRIFT = {"pos-av-510": (0.1, 0.005, 0.008), "pos-av-610": (0.1, 0.0025, 0.005)}
 JITTER_DEG = 0.005  # RMS of each angle, for the preset `jitter`
 HARMONIC_HZ = 11.0  # frequency of the sine
 
@@ -77,21 +62,22 @@ class NavigationDesign(Design):
     """Sine, RMS of roll, of pitch and of heading."""
 
     @property
-    def drift(self) -> PoseRms:
-        """Drift, by its keys or the preset."""
-        found = PRESET_DRIFT.get(self.preset, PoseRms())
+    def drift(self) -> Float[Array, "6"]:
+        """RMS of the drift, by its keys or the preset: see `pose_rms`. [m, rad]"""
+        position_m, roll_pitch_deg, heading_deg = PRESET_DRIFT.get(self.preset, (0.0, 0.0, 0.0))
         if self.drift_position_rms_m is not None:
-            found = replace(found, position_m=self.drift_position_rms_m)
-        angle = self.drift_angle_rms_deg
-        return found if angle is None else replace(found, roll_pitch_deg=angle, heading_deg=angle)
+            position_m = self.drift_position_rms_m
+        if self.drift_angle_rms_deg is not None:
+            roll_pitch_deg = heading_deg = self.drift_angle_rms_deg
+        return pose_rms(position_m, roll_pitch_deg, heading_deg)
 
     @property
-    def harmonic(self) -> PoseRms:
-        """Sine, by its key or the preset."""
+    def harmonic(self) -> Float[Array, "6"]:
+        """RMS of the sine, by its key or the preset: see `pose_rms`. [m, rad]"""
         angle = self.harmonic_angle_rms_deg
         if angle is None:
             angle = JITTER_DEG if self.preset == "jitter" else 0.0
-        return PoseRms(0.0, angle, angle)
+        return pose_rms(0.0, angle, angle)
 
 
 def navigation_errors(
@@ -118,11 +104,11 @@ def navigation_errors(
         raise ValueError(f"`rngs` must hold one generator a frame, got {len(rngs)} for {len(times_s)}")
     normal = np.array([rng.standard_normal(12) for rng in rngs]).reshape(-1, 12)
     phase = np.array([rng.uniform(0, 2 * math.pi, 6) for rng in rngs]).reshape(-1, 6)
-    white = PoseRms(design.position_rms_m, design.roll_pitch_rms_deg, design.heading_rms_deg)
-    drift = design.drift.components * _gauss_markov(normal[:, 6:], times_s, design.drift_time_s)
+    white = pose_rms(design.position_rms_m, design.roll_pitch_rms_deg, design.heading_rms_deg)
+    drift = design.drift * _gauss_markov(normal[:, 6:], times_s, design.drift_time_s)
     # the first frame's phases are those of the whole flight
     wave = math.sqrt(2) * np.sin(2 * math.pi * HARMONIC_HZ * times_s[:, None] + phase[:1])
-    return white.components * normal[:, :6] + drift + design.harmonic.components * wave
+    return white * normal[:, :6] + drift + design.harmonic * wave
 
 
 def navigate(true_pose: Pose, error: Float[Array, "6"]) -> Pose:

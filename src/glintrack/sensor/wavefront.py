@@ -122,7 +122,7 @@ def wavefront_um(
 
 
 def _nodes_at(design: SensorDesign, field: tuple[float, float]) -> list[tuple[dict[int, float], float]]:
-    """Nodes of ``field_zernikes_rms_nm`` about a place, and their weights. [nm, 1]"""
+    """Nodes of ``field_zernikes_rms_nm`` around a place, and their weights. [nm, 1]"""
     nodes = design.optics.field_zernikes_rms_nm
     if not nodes:
         return []

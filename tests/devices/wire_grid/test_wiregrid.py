@@ -135,7 +135,7 @@ def test_provenance_is_stored(monkeypatch, tmp_path):
 def test_a_worker_that_dies_says_why(tmp_path):
     pytest.importorskip("ngsolve", reason="the extra em is not installed")
     with pytest.raises(RuntimeError, match=r"solving 0.5 µm failed: .*"):
-        table.sweep(COARSE, [0.5], [float("nan") * 1j], folder=tmp_path)
+        table._sweep(COARSE, [0.5], [float("nan") * 1j], folder=tmp_path)
 
 
 def test_live_solves_agree_with_the_solver_in_process(tmp_path):

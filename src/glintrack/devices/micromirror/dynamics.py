@@ -42,13 +42,10 @@ class PlateModes:
         Undamped, rising. [Hz]
     damping_ratio
         Of each mode, 1 at critical damping. [1]
-    shape
-        (3, 3): column k is mode k in (piston, tip·r, tilt·r), r the springs' radius, of unit length. [1]
     """
 
     frequency_hz: Float[Array, "3"]
     damping_ratio: Float[Array, "3"]
-    shape: Float[Array, "3 3"]
 
 
 def inertia(design: MicromirrorDesign) -> Float[Array, "3"]:
@@ -106,7 +103,7 @@ def modes(design: MicromirrorDesign, voltages_v: tuple[float, float, float] | No
         ratio = drag @ shape**2 / (2 * omega)
     else:
         ratio = np.full(3, 0.5 / design.actuator.quality_factor)
-    return PlateModes(omega / (2 * np.pi), ratio, shape / np.linalg.norm(shape, axis=0))
+    return PlateModes(omega / (2 * np.pi), ratio)
 
 
 def step_response(

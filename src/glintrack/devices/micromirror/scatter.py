@@ -42,24 +42,6 @@ class Scatter:
     slope: float
 
 
-def total_integrated_scatter(
-    roughness_m: float, wavelength_um: ArrayLike, incidence_rad: float = 0.0
-) -> Float[Array, "wavelength"]:
-    """Share of reflected light that is scattered by a smooth surface: 1 − exp(−(4πσ cosθ/λ)²). [1]
-
-    Parameters
-    ----------
-    roughness_m
-        RMS height of spatial periods longer than the wavelength. [m]
-
-    References
-    ----------
-    Bennett and Porteus, J. Opt. Soc. Am. 51, 123 (1961).
-    """
-    phase = 4 * np.pi * roughness_m * np.cos(incidence_rad) / (np.asarray(wavelength_um, float) * 1e-6)
-    return -np.expm1(-(phase**2))
-
-
 def scatter(surface: SurfaceDesign, wavelength_um: ArrayLike, incidence_rad: float = 0.0) -> Scatter:
     """ABg parameters of a surface at each wavelength.
 
@@ -74,10 +56,12 @@ def scatter(surface: SurfaceDesign, wavelength_um: ArrayLike, incidence_rad: flo
 
     References
     ----------
+    Bennett and Porteus, J. Opt. Soc. Am. 51, 123 (1961), for the total: 1 − exp(−(4πσ cosθ/λ)²).
     Harvey, Choi, Krywonos and Marcen, Proc. SPIE 7426, 74260I (2009); Dittman, Proc. SPIE 6291 (2006).
     """
     wavelength = np.atleast_1d(np.asarray(wavelength_um, float))
-    total = total_integrated_scatter(surface.roughness_nm * 1e-9, wavelength, incidence_rad)
+    phase = 4 * np.pi * surface.roughness_nm * np.cos(incidence_rad) / (wavelength * 1e3)
+    total = -np.expm1(-(phase**2))
     shoulder = wavelength / (2 * np.pi * surface.correlation_length_um)
     unit = np.array([_inside(1.0, b, surface.rolloff) for b in shoulder])
     return Scatter(wavelength, total, total / unit, shoulder, surface.rolloff)

@@ -115,7 +115,7 @@ def solve(
     """
     um = spectral.check_wavelengths(wavelength_um)
     eps = permittivity(design.metal, um)
-    rows = sweep(design, um.tolist(), eps.tolist(), workers=workers, progress=progress, folder=cache)
+    rows = _sweep(design, um.tolist(), eps.tolist(), workers=workers, progress=progress, folder=cache)
     table = xr.Dataset(
         {
             name: ("wavelength", np.array([row[name] for row in rows]), {"units": "1", "long_name": what})
@@ -194,7 +194,7 @@ def _describe_metal(design: WireGridDesign) -> str:
     return f"{metal.name} by the Lorentz–Drude model of Rakić et al., Applied Optics 37, 5271 (1998)"
 
 
-def sweep(
+def _sweep(
     design: WireGridDesign,
     wavelength_um: Sequence[float],
     permittivity: Sequence[complex],
@@ -203,21 +203,7 @@ def sweep(
     progress: Callable[[float], None] | None = None,
     folder: Path | None = None,
 ) -> list[dict]:
-    """One row of `fem.measure` a wavelength, in order.
-
-    Parameters
-    ----------
-    design
-        The pixel.
-    wavelength_um, permittivity
-        Where to solve [µm], and ε of the wires there [1].
-    workers
-        Processes; all cores by default.
-    progress
-        Called with the finished fraction.
-    folder
-        Cache; `cache.cache_folder` by default.
-    """
+    """One row of `fem.measure` for each wavelength [µm] and ε of the wires there [1], in order."""
     geometry = design.model_dump_json(exclude={"metal"})
     folder = (cache.cache_folder("wiregrid") if folder is None else folder) / cache.content_stem(geometry)
     stems = [
