@@ -93,8 +93,6 @@ def assemble_tables(
 
     Parameters
     ----------
-    design
-        The atmosphere.
     threads
         Of the solver.
     progress

@@ -123,8 +123,6 @@ def gas_depth(
         From `read_gases`, and one of its gases.
     amount
         Amount along the path, in the table's unit for that gas.
-    wavelength_um
-        [µm]
 
     Notes
     -----
@@ -157,8 +155,6 @@ def effective_absorption(
         Levels. [m]
     cos_sun_zenith
         Of the sun. [1]
-    wavelength_um
-        [µm]
     """
     table, slant = read_gases(), slant_weights(cos_sun_zenith, height_m)
     total = np.zeros((height_m.size, np.size(wavelength_um)))
@@ -188,8 +184,6 @@ def path_transmittance(
         Of the sensor. [m]
     view_zenith
         Angle of the path from the vertical, at the ground. [rad]
-    wavelength_um
-        [µm]
     """
     table, profiles = read_gases(), gas_profiles(height_m)
     slant = np.array([[slant_weights(math.cos(v), height_m, a) for v in view_zenith] for a in altitude_m])
@@ -236,8 +230,6 @@ def gas_terms(
         Vertical, of `gas.gas_amounts`.
     height_m, cos_sun_zenith
         Levels; of the sun. [m, 1]
-    wavelength_um
-        [µm]
     max_terms, max_gases
         Terms of each gas; number of the strongest gases that are expanded in sums.
     """

@@ -37,8 +37,6 @@ class Medium:
     ----------
     height_m
         Levels, from 0 upward. [m]
-    wavelength_um
-        [µm]
     rayleigh
         Whether air scatters (US standard atmosphere 1976).
     aerosol_extinction
@@ -284,14 +282,10 @@ def rayleigh_slab(
     Coulson, Dave and Sekera, *Tables Related to Radiation Emerging from a Planetary Atmosphere with Rayleigh
     Scattering* (1960); Natraj, Li and Yung, Astrophys. J. 691, 1909 (2009).
     """
-    for name, value, low, high in (
-        ("optical_depth", optical_depth, 0.0, np.inf),
-        ("mu0", mu0, 0.0, 1.0),
-        ("mu", np.min(mu), 0.0, 1.0),
-        ("mu", np.max(mu), 0.0, 1.0),
-    ):
-        if not low < value <= high:
-            raise ValueError(f"`{name}` must be above {low:g} and at most {high:g}, got {value:g}")
+    limits = {"optical_depth": (optical_depth, np.inf), "mu0": (mu0, 1.0), "mu": (np.asarray(mu), 1.0)}
+    for name, (value, largest) in limits.items():
+        if not np.all((value > 0) & (value <= largest)):
+            raise ValueError(f"`{name}` must be above 0 and at most {largest:g}, got {value}")
     if not 0 <= albedo <= 1:
         raise ValueError(f"`albedo` must lie within 0 to 1, got {albedo:g}")
     if streams % 2 or streams < 4:

@@ -31,8 +31,6 @@ def solve_tables(
 
     Parameters
     ----------
-    design
-        The atmosphere.
     progress
         Called with the finished fraction while solving.
     cache

@@ -54,7 +54,12 @@ def displacement_between(
     total = np.zeros(2)
     clearness = 0.0
     for k in range(_ITERATIONS):
-        moved = image if k == 0 else _shift_back(image, total)
+        moved = image
+        if k:  # shifted back, cubic over its data; NaN where data are missing
+            known = np.isfinite(image)
+            filled = np.where(known, image, image[known].mean())
+            there = shift(known.astype(float), -total, order=1, mode="constant", cval=0.0)
+            moved = np.where(there > 0.99, shift(filled, -total, order=3, mode="nearest"), np.nan)
         step, clear = _correlate(moved, reference, max_px if k == 0 else 2.0)
         if k == 0:
             clearness = clear
@@ -89,15 +94,6 @@ def _correlate(image: Array, reference: Array, max_px: float) -> tuple[Array, fl
     near = np.real(down @ cross @ across)
     i, j = np.unravel_index(near.argmax(), near.shape)
     return np.array([rows + fine[i], columns + fine[j]]), clearness
-
-
-def _shift_back(image: Array, by: Array) -> Array:
-    """Shift an image by −``by``, cubic over its data; NaN where data are missing."""
-    known = np.isfinite(image)
-    filled = np.where(known, image, image[known].mean())
-    moved = shift(filled, -by, order=3, mode="nearest")
-    there = shift(known.astype(float), -by, order=1, mode="constant", cval=0.0)
-    return np.where(there > 0.99, moved, np.nan)
 
 
 def _fade_borders(picture: Array, both: Array) -> Array:

@@ -172,7 +172,12 @@ def rectify(
     source = frame if isinstance(frame, xr.Dataset) else Path(frame)
     name = "" if isinstance(source, xr.Dataset) else source.name
     placed = pose if isinstance(pose, PlacedPose) else read_pose(Path(pose), name)
-    _check_view(lens, placed, area is None)
+    pixels = frame_border(lens) if area is None else np.array([lens.principal_point])
+    if (rays(lens, placed.pose, pixels)[..., 2] > -1e-3).any():
+        remedy = "check the angles' signs and units" if area else "give an area, --area, to rectify a part"
+        raise ValueError(
+            f"`pose` must look below the horizon, got a line of sight at or above it in the frame ({remedy})"
+        )
     photograph = Photograph.read(source, lens, placed)
     level = isinstance(ground, int | float)
     if level and not MIN_HEIGHT_M <= ground <= MAX_HEIGHT_M:
@@ -207,16 +212,6 @@ def rectify(
             f"{bands.shape[1]} cells without any (both are in units of the CRS: degrees for EPSG:4326)"
         )
     return Orthophoto(bands, names, grid, tags, photograph.dtype if photograph.dtype in _EXACT else "float32")
-
-
-def _check_view(camera: Camera, placed: PlacedPose, whole: bool) -> None:
-    """Refuse a frame that sees the horizon; with an area, only if its middle does."""
-    pixels = frame_border(camera) if whole else np.array([camera.principal_point])
-    if (rays(camera, placed.pose, pixels)[..., 2] > -1e-3).any():
-        remedy = "give an area, --area, to rectify a part" if whole else "check the angles' signs and units"
-        raise ValueError(
-            f"`pose` must look below the horizon, got a line of sight at or above it in the frame ({remedy})"
-        )
 
 
 def _void_share(ground: Array, camera: Camera, placed: PlacedPose, east: Array, north: Array) -> float:

@@ -65,7 +65,12 @@ class MapGrid:
         if gsd is None:
             if crs is not None and CRS.from_user_input(own).is_geographic:
                 raise ValueError(f"`gsd` must be given in degrees for a geographic CRS, got none for {crs}")
-            gsd = _pixel_on_ground(camera, placed, sum(levels_m) / 2)
+            # side of a square as large as the middle pixel's share of the ground, to two digits
+            row, column = camera.principal_point
+            corners = np.array([[row, column], [row + 1, column], [row, column + 1]])
+            level_m = min(sum(levels_m) / 2, placed.pose.up_m - 1)
+            a, b, c = ground_points(camera, placed.pose, corners, level_m)
+            gsd = float(f"{math.sqrt(float(np.linalg.norm(np.cross(b - a, c - a)))):.2g}")
         if not 0 < gsd <= MAX_CELL_M:
             raise ValueError(f"`gsd` must be positive and at most {MAX_CELL_M:g}, got {gsd:g}")
         if not all(abs(v) <= MAX_COORDINATE_M for v in area):
@@ -111,15 +116,6 @@ def _footprint(camera: Camera, placed: PlacedPose, levels: tuple[float, float], 
     east, north = border[:, 0] + placed.origin_m[0], border[:, 1] + placed.origin_m[1]
     places = np.stack(transform_places(east, north, placed.crs, crs), axis=-1)
     return (*places.min(axis=0).tolist(), *places.max(axis=0).tolist())
-
-
-def _pixel_on_ground(camera: Camera, placed: PlacedPose, level: float) -> float:
-    """Side of a square as large as the middle pixel's share of the ground, to two digits. [m]"""
-    row, column = camera.principal_point
-    corners = np.array([[row, column], [row + 1, column], [row, column + 1]])
-    a, b, c = ground_points(camera, placed.pose, corners, min(level, placed.pose.up_m - 1))
-    side = math.sqrt(float(np.linalg.norm(np.cross(b - a, c - a))))
-    return float(f"{side:.2g}")
 
 
 _MAX_SURFACE_CELLS = 100e6

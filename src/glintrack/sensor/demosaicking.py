@@ -30,6 +30,8 @@ Morimatsu et al. choose a by the least Laplacian of the residual and interpolate
 squares left the smaller error of DoLP (docs/theory/sensor.md).
 """
 
+from functools import reduce
+
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import correlate
@@ -93,8 +95,8 @@ def inconsistency(layout: Superpixel) -> Float[Array, "row column"]:
 def _window_means(values: Array) -> Array:
     """Mean over the superpixels about each one; edges repeat."""
     wide = np.pad(values, _HALF, mode="edge")
-    columns = sum(wide[k : k + len(values)] for k in range(WINDOW))
-    return sum(columns[:, k : k + values.shape[1]] for k in range(WINDOW)) / WINDOW**2
+    columns = reduce(np.add, (wide[k : k + len(values)] for k in range(WINDOW)))
+    return reduce(np.add, (columns[:, k : k + values.shape[1]] for k in range(WINDOW))) / WINDOW**2
 
 
 def _guide(readings: Array, vector: Array) -> Array:
@@ -106,8 +108,8 @@ def _guide(readings: Array, vector: Array) -> Array:
     for turn in (np.asarray, np.transpose):  # pairs of rows, pairs of columns
         rows, columns = turn(readings).shape
         mean, distance = _pair_means(turn(wide)), np.abs(_pair_means(turn(unlike)))
-        across = sum(distance[:, k : k + columns + 2] for k in range(5))
-        spread = sum(across[k : k + rows + 5] for k in range(3)) / 15
+        across = reduce(np.add, (distance[:, k : k + columns + 2] for k in range(5)))
+        spread = reduce(np.add, (across[k : k + rows + 5] for k in range(3))) / 15
         for far, near in ((1, 3), (4, 4)):  # before and behind each element
             share = 1.0 / (spread[far : far + rows, 1 : columns + 1] + least)
             total += turn(share * mean[near : near + rows, 3 : columns + 3])
@@ -177,8 +179,12 @@ def demosaic(
         return readings
     source = np.asarray(measured, np.float32)
     expected = np.zeros((*shape, 1), np.float32)  # at the centre, of what is taken off before
-    if method != "bilinear":
-        source = _fill_dark_mirrors(source, layout, dark)
+    mirrors = places(layout, "mirror")
+    if method != "bilinear" and mirrors and dark is not None and dark.any():
+        y, x = np.nonzero(dark)
+        around = [source[y * side + r, x * side + c] for r, c in polarizers]
+        source = source.copy()  # the mean of the superpixel's polarizers at mirrors that are away
+        source[y * side + mirrors[0][0], x * side + mirrors[0][1]] = np.mean(around, axis=0)
     if method == "ppid":  # less the mean over a window in which every kind of element weighs the same
         window = np.ones(side + 1 - side % 2)
         window[[0, -1]] = 1.0 if side % 2 else 0.5
@@ -219,16 +225,3 @@ def boost(degree: Float[Array, "..."], factor: float = PAPER_BOOST) -> Float[Arr
     if not factor > 0:
         raise ValueError(f"`factor` must be positive, got {factor}")
     return np.minimum(factor * np.asarray(degree), 1.0)
-
-
-def _fill_dark_mirrors(source: Array, layout: Superpixel, dark: Array | None) -> Array:
-    """Replace the readings of mirrors at the spectrometer by the mean of their superpixel's polarizers."""
-    found = places(layout, "mirror")
-    if dark is None or not dark.any() or not found:
-        return source
-    side = len(layout)
-    y, x = np.nonzero(dark)
-    out = source.copy()
-    around = [source[y * side + r, x * side + c] for r, c in places(layout, "polarizer")]
-    out[y * side + found[0][0], x * side + found[0][1]] = np.mean(around, axis=0)
-    return out

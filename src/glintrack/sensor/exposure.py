@@ -42,14 +42,10 @@ def expose(
     radiance
         ``radiance(channels)`` gives the Stokes radiance of every element in the ``detector`` frame,
         dims (y, x, channel, stokes), or of n × n cells of every element; see `render.shade`.
-    sensor
-        From `build_sensor`.
     served
         Mirrors that feed the spectrometer in this frame; they are dark in pan.
     rng
         Shot and read noise.
-    time_s
-        Time of the frame.
 
     Returns
     -------
@@ -193,8 +189,6 @@ def read_out(
     ----------
     planes
         Light on the elements, ``sensor.planes`` of it. [W m⁻² sr⁻¹ µm⁻¹]
-    sensor
-        From `build_sensor`.
     rng
         Source of a generator for each block of rows.
 
@@ -260,8 +254,6 @@ def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: Serv
     ----------
     measured
         From `detector_readout`. [W m⁻² sr⁻¹ µm⁻¹]
-    sensor
-        From `build_sensor`.
     served
         Mirrors that fed the spectrometer in this frame: their elements have no reading.
 
@@ -335,10 +327,6 @@ def noiseless_frame(radiance: Radiance, sensor: Sensor, time_s: float = 0.0) -> 
     ----------
     radiance
         As for `expose`, before motion and lens.
-    sensor
-        From `build_sensor`.
-    time_s
-        Time of the frame.
 
     Returns
     -------

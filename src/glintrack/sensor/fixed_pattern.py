@@ -43,8 +43,6 @@ def departure_at_incidence(
 
     Parameters
     ----------
-    design
-        The sensor.
     polarizer
         Its polarizer, with matrices that are interpolated between its angles of incidence.
     wavelength_um, weights
@@ -53,7 +51,7 @@ def departure_at_incidence(
     if design.polarizer_incidence == "normal" or not design.has_stokes:
         return None
     incidence, azimuth = chief_rays(design)
-    turn, covered = np.zeros((2, *incidence.shape))
+    turn, covered = np.zeros(incidence.shape), np.zeros(incidence.shape)
     side = len(design.superpixel)
     used = weights > 0
     row = np.array(
@@ -102,8 +100,6 @@ def build_fixed_pattern(design: SensorDesign, slanted: Departure | None = None) 
 
     Parameters
     ----------
-    design
-        The sensor.
     slanted
         Effect of the angle of incidence on each element; its gain is calibrated.
 

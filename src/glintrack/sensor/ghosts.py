@@ -83,7 +83,13 @@ def ghosts(
     if wavelength_um is None:
         wavelength_um = lens.wavelengths_um[len(lens.wavelengths_um) // 2]
     optic = build_optic(lens)
-    reflectance = _reflectances(lens, optic, wavelength_um, image_reflectance, object_reflectance)
+    index = np.abs(np.ravel(optic.surfaces.n(wavelength_um)).astype(float))
+    reflectance = [object_reflectance]
+    for k, surface in enumerate(lens.surfaces, start=1):  # none of mirrors, which lose no light
+        bare = float(((index[k] - index[k - 1]) / (index[k] + index[k - 1])) ** 2)
+        coated = bare if surface.reflectance is None else surface.reflectance
+        reflectance.append(0.0 if surface.material == "mirror" else coated)
+    reflectance.append(image_reflectance)
     signal = _image_points(optic, launch_rays(optic, lens, field, wavelength_um, rays))
     found = []
     for later in range(1, len(lens.surfaces) + 2):
@@ -137,8 +143,6 @@ def with_window(
 
     Parameters
     ----------
-    lens
-        The prescription.
     thickness_mm, gap_mm
         Thickness of the window, and its distance from the image. [mm]
     material
@@ -170,20 +174,6 @@ def with_window(
         raise ValueError(unfit)
     before = last.model_copy(update={"thickness_mm": way * room_mm})
     return lens.model_copy(update={"surfaces": (*lens.surfaces[:-1], before, plate, behind)})
-
-
-def _reflectances(
-    lens: LensDesign, optic: Any, wavelength_um: float, image: float, imaged: float
-) -> Float[Array, "surface"]:
-    """Reflectances of object, surfaces and image; 0 for mirrors, which lose no light. [1]"""
-    index = np.ravel(optic.surfaces.n(wavelength_um)).astype(float)
-    found = [imaged]
-    for k, surface in enumerate(lens.surfaces, start=1):
-        before, behind = abs(index[k - 1]), abs(index[k])
-        bare = ((behind - before) / (behind + before)) ** 2
-        own = surface.reflectance
-        found.append(0.0 if surface.material == "mirror" else bare if own is None else own)
-    return np.array([*found, image])
 
 
 def _image_points(optic: Any, rays: Any) -> Float[Array, "ray 2"]:

@@ -208,32 +208,26 @@ def lens_quality(lens: LensDesign) -> xr.Dataset:
     fields = np.array(lens.fields_mm)
     found = [image_of(lens, fields, wavelength) for wavelength in lens.wavelengths_um]
     centre, spread, passed = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
+    # distance of each image from magnification × object + shift, fitted for each wavelength
+    residual = np.full(spread.shape, np.nan)
+    for j in range(spread.shape[1]):
+        known = np.isfinite(centre[:, j]).all(axis=1)
+        if known.sum() >= 2:
+            objects = fields[known] - fields[known].mean(axis=0)
+            images = centre[known, j] - centre[known, j].mean(axis=0)
+            magnification = (objects * images).sum() / (objects**2).sum()
+            residual[known, j] = np.hypot(*(images - magnification * objects).T)
     dims = ("field", "wavelength")
     return xr.Dataset(
         {
             "spot_rms": (dims, spread, {"units": "um"}),
             "image_x": (dims, centre[..., 0], {"units": "mm"}),
             "image_y": (dims, centre[..., 1], {"units": "mm"}),
-            "distortion": (dims, _image_residual(fields, centre), {"units": "mm"}),
+            "distortion": (dims, residual, {"units": "mm"}),
             "passed": (dims, passed, {"units": "1"}),
         },
         coords={"wavelength": ("wavelength", np.array(lens.wavelengths_um), {"units": "um"})},
     )
-
-
-def _image_residual(fields_mm: Array, centre: Array) -> Array:
-    """Distance of each image from magnification × object + shift, fitted for each wavelength. [mm]"""
-    out = np.full(centre.shape[:2], np.nan)
-    for j in range(centre.shape[1]):
-        found = centre[:, j]
-        known = np.isfinite(found).all(axis=1)
-        if known.sum() < 2:
-            continue
-        objects = fields_mm[known] - fields_mm[known].mean(axis=0)
-        images = found[known] - found[known].mean(axis=0)
-        magnification = (objects * images).sum() / (objects**2).sum()
-        out[known, j] = np.hypot(*(images - magnification * objects).T)
-    return out
 
 
 def with_lens(design: SensorDesign) -> SensorDesign:
@@ -286,11 +280,16 @@ def with_lens(design: SensorDesign) -> SensorDesign:
         for node in errors_nm
     ]
     zernikes = tuple(tuple(nodes[k : k + FIELD_NODES]) for k in range(0, len(nodes), FIELD_NODES))
+    # light lost relative to the middle, by the best fit in the square of the distance
+    rows, columns = (np.linspace(-n, n, FIELD_NODES) for n in (design.rows, design.columns))
+    height2 = (rows[:, None] ** 2 + columns**2) / math.hypot(design.rows, design.columns) ** 2
+    passed = passed.reshape(objects.shape[:2])
+    lost = 1 - passed / float(passed[FIELD_NODES // 2, FIELD_NODES // 2])
     update = {
         "lens": "",
         "field_zernikes_rms_nm": zernikes,
         "distortion": _distortion(objects.reshape(-1, 2) * magnification, places, design.focal_length_mm),
-        "vignetting": _vignetting(passed.reshape(objects.shape[:2]), design),
+        "vignetting": float(np.clip((lost * height2).sum() / (height2**2).sum(), 0, 0.99)),
     }
     return design.model_copy(update={"optics": optics.model_copy(update=update)})
 
@@ -335,14 +334,3 @@ def _distortion(ideal_mm: Array, image_mm: Array, focal_mm: float) -> Distortion
     fitted = np.linalg.lstsq(columns / scale, np.concatenate([moved[:, 0], moved_y]), rcond=None)[0] / scale
     k1, k2, p1, p2, b1, b2 = (float(v) for v in fitted[:6])
     return Distortion(k1=k1, k2=k2, p1=p1, p2=p2, b1=b1, b2=b2)
-
-
-def _vignetting(passed: Array, design: SensorDesign) -> float:
-    """Light lost in the corner, relative to the middle, by the best fit in the square of the distance."""
-    down, right = np.meshgrid(
-        *(np.linspace(-n, n, FIELD_NODES) for n in (design.rows, design.columns)), indexing="ij"
-    )
-    height2 = (down**2 + right**2) / math.hypot(design.rows, design.columns) ** 2
-    middle = float(passed[FIELD_NODES // 2, FIELD_NODES // 2])
-    lost = 1 - passed / middle
-    return float(np.clip((lost * height2).sum() / (height2**2).sum(), 0, 0.99))

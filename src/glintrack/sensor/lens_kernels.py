@@ -78,8 +78,6 @@ def lens_kernels(
 
     Parameters
     ----------
-    design
-        The sensor.
     wavelength_um, channels
         Grid and weights of the channels. [µm, 1]
     oversampling
@@ -94,7 +92,14 @@ def lens_kernels(
     stacks = _cell_kernels(design, nodes, oversampling)  # node, field row, field column, tap, tap
     out = []
     for row in mix:
-        kernels = _trim(np.tensordot(row, stacks, axes=1))
+        kernels = np.tensordot(row, stacks, axes=1)
+        middle, total = kernels.shape[-1] // 2, kernels.sum(axis=(-2, -1))
+        for half in range(middle + 1):  # the smallest half width with `ENERGY_SHARE` of the light
+            core = slice(middle - half, middle + half + 1)
+            if np.all(kernels[..., core, core].sum(axis=(-2, -1)) >= ENERGY_SHARE * total):
+                break
+        kernels = kernels[..., core, core]
+        kernels = kernels / kernels.sum(axis=(-2, -1), keepdims=True)
         half_side_um = kernels.shape[-1] / 2 * design.pitch_um / oversampling
         share = diffraction_share(design, float(row @ nodes), half_side_um)
         out.append(LensKernels(*_separate((1 - share) * kernels), share, half_side_um))
@@ -173,17 +178,6 @@ def _share_of_cells(samples: int, step_um: float, edges_um: Array, spot_um: floa
     else:
         below = ndtr((edges_um[:, None] - centre[None]) / spot_um)
     return np.diff(below, axis=0)
-
-
-def _trim(kernels: Array) -> Array:
-    """Cut kernels to the smallest half width with `ENERGY_SHARE` of the light, and normalise them to 1."""
-    middle = kernels.shape[-1] // 2
-    total = kernels.sum(axis=(-2, -1))
-    for half in range(middle + 1):
-        inner = kernels[..., middle - half : middle + half + 1, middle - half : middle + half + 1]
-        if np.all(inner.sum(axis=(-2, -1)) >= ENERGY_SHARE * total):
-            break
-    return inner / inner.sum(axis=(-2, -1), keepdims=True)
 
 
 def _separate(kernels: Array) -> tuple[Array, Array, Array]:
@@ -299,8 +293,6 @@ def with_wings(
     ----------
     light
         Light by the kernels: 1 − ``far_share`` of all. [radiance]
-    design
-        The sensor.
     far_share, half_side_um
         The rest, and half the side of the square outside which it falls: `diffraction_share`. [1, µm]
 

@@ -105,25 +105,19 @@ def navigation_errors(
     normal = np.array([rng.standard_normal(12) for rng in rngs]).reshape(-1, 12)
     phase = np.array([rng.uniform(0, 2 * math.pi, 6) for rng in rngs]).reshape(-1, 6)
     white = pose_rms(design.position_rms_m, design.roll_pitch_rms_deg, design.heading_rms_deg)
-    drift = design.drift * _gauss_markov(normal[:, 6:], times_s, design.drift_time_s)
+    drift = normal[:, 6:].copy()  # of unit variance and covariance e^(−|Δt|/τ)
+    for k in range(1, len(drift)):
+        memory = math.exp(-(times_s[k] - times_s[k - 1]) / design.drift_time_s)
+        drift[k] = memory * drift[k - 1] + math.sqrt(1 - memory**2) * drift[k]
     # the first frame's phases are those of the whole flight
     wave = math.sqrt(2) * np.sin(2 * math.pi * HARMONIC_HZ * times_s[:, None] + phase[:1])
-    return white * normal[:, :6] + drift + design.harmonic * wave
+    return white * normal[:, :6] + design.drift * drift + design.harmonic * wave
 
 
 def navigate(true_pose: Pose, error: Float[Array, "6"]) -> Pose:
     """Add the error of one frame from `navigation_errors` [m, rad] to the true pose."""
     changed = {n: getattr(true_pose, n) + float(e) for n, e in zip(COMPONENTS, error, strict=True)}
     return replace(true_pose, **changed, kind="reported")
-
-
-def _gauss_markov(deviates: Array, times_s: Array, correlation_s: float) -> Array:
-    """Stationary process of unit variance with covariance e^(−|Δt|/τ), from independent deviates."""
-    out = deviates.copy()
-    for k in range(1, len(out)):
-        memory = math.exp(-(times_s[k] - times_s[k - 1]) / correlation_s)
-        out[k] = memory * out[k - 1] + math.sqrt(1 - memory**2) * deviates[k]
-    return out
 
 
 MIN_MOTION_ELEMENTS = 0.05  # a smaller RMS motion blurs less than a hundredth of the lens's spot
@@ -141,8 +135,6 @@ def image_motion(
 
     Parameters
     ----------
-    camera
-        The frame camera.
     pose_at
         True pose as a function of time, as `Flight.pose`.
     time_s, integration_s

@@ -126,8 +126,6 @@ def measure_polarization(
         Layout and levels; `RawDesign` of a Polarsens camera by default.
     calibration
         Calibration of the camera, from `read_analysers`.
-    time_s
-        Time of the frame. [s]
     name
         Name of the mosaic in errors; by default its file.
 

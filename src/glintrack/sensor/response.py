@@ -24,7 +24,12 @@ def element_response(
 ) -> Float[Array, "wavelength"]:
     """Filter × quantum efficiency × lens of an element with nothing over it. [electrons per photon]"""
     response = Band("pan", *design.band_um).response(wavelength_um)
-    response = response * _efficiency(design, wavelength_um) * design.optics_transmission
+    efficiency = design.quantum_efficiency
+    if isinstance(efficiency, str):
+        packaged = str(resources.files("glintrack") / "data" / "sensors" / "silicon.csv")
+        name = packaged if efficiency == "silicon" else efficiency
+        efficiency = _curve(name, "efficiency", wavelength_um, "sensor.quantum_efficiency")
+    response = response * efficiency * design.optics_transmission
     if design.response is not None:
         response = response * _curve(design.response, "response", wavelength_um, "sensor.response")
     return response
@@ -154,15 +159,6 @@ def spectrometer_bands(
         left = np.maximum(wavelength_um - half_cell, centres[:, None] + shift - width / 2)
         response += np.maximum(right - left, 0.0)
     return centres, response / len(parts) * wavelength_um
-
-
-def _efficiency(design: SensorDesign, wavelength_um: Array) -> Array:
-    what = design.quantum_efficiency
-    if not isinstance(what, str):
-        return np.full(len(wavelength_um), what)
-    if what == "silicon":
-        what = str(resources.files("glintrack") / "data" / "sensors" / "silicon.csv")
-    return _curve(what, "efficiency", wavelength_um, "sensor.quantum_efficiency")
 
 
 def _curve(name: str, column: str, wavelength_um: Array, key: str) -> Array:

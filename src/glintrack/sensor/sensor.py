@@ -139,8 +139,6 @@ def build_sensor(
 
     Parameters
     ----------
-    design
-        The sensor.
     wavelength_um
         Grid of the radiance, covering its bands. [µm]
     polarizer

@@ -67,8 +67,6 @@ def measure_spectra(
         From `serve`.
     radiance
         ``radiance(channels, pixels=...)``; see `render.shade`.
-    sensor
-        From `build_sensor`.
     rng
         Noise.
 

@@ -32,8 +32,6 @@ def pupil(
 
     Parameters
     ----------
-    design
-        The sensor.
     wavelength_um
         Wavelength of the light. [µm]
     field
@@ -241,8 +239,6 @@ def relative_illumination(
 
     Parameters
     ----------
-    design
-        The sensor.
     rows, columns
         Places on the array. [element]
     """

@@ -14,12 +14,12 @@ from glintrack.core.spectral import wavelength_grid
 from glintrack.devices.micromirror.equilibrium import (
     MicromirrorDesign,
     dynamic_pull_in_voltage,
-    effective_stiffness,
     equilibrium,
     forces,
     lever_arms,
     pull_in,
     steepest_tilt,
+    stiffness_matrix,
 )
 from glintrack.devices.micromirror.plate import bend_plate
 from glintrack.devices.micromirror.scatter import relay_throughput, scatter, wing_fraction
@@ -95,8 +95,8 @@ def modes(design: MicromirrorDesign, voltages_v: tuple[float, float, float] | No
     voltages = np.asarray(design.drive.voltages_v if voltages_v is None else voltages_v, float)
     rest = equilibrium(design, tuple(voltages))
     unit = np.array([1.0, *2 * [1 / design.actuator.spring_radius_m]])
-    mass = np.diag(inertia(design) * unit**2)
-    squared, shape = eigh(effective_stiffness(design, voltages, rest), mass)
+    mass, q = np.diag(inertia(design) * unit**2), np.array([rest.piston_m, rest.tip_rad, rest.tilt_rad])
+    squared, shape = eigh(stiffness_matrix(design, voltages, q), mass)
     omega = np.sqrt(squared)
     if design.actuator.quality_factor is None:
         drag = air_film(design, design.actuator.gap_m - rest.piston_m) * unit**2

@@ -248,15 +248,13 @@ def forces(
     return epsilon_0 * a.electrode_area_m2 * voltages_v**2 / (2 * (a.gap_m - travel_m) ** 2)
 
 
-def effective_stiffness(
-    design: MicromirrorDesign, voltages_v: Float[Array, "3"], rest: Equilibrium
+def stiffness_matrix(
+    design: MicromirrorDesign, voltages: Float[Array, "3"], q: Float[Array, "3"]
 ) -> Float[Array, "3 3"]:
-    """Stiffness about a rest position for (piston, tip·r, tilt·r), r the springs' radius. [N/m]"""
-    return _stiffness(design, voltages_v, np.array([rest.piston_m, rest.tip_rad, rest.tilt_rad]))
+    """Springs less electrostatics at (piston, tip, tilt), for (piston, tip·r, tilt·r). [N/m]
 
-
-def _stiffness(design: MicromirrorDesign, voltages: Array, q: Array) -> Array:
-    """Stiffness for (piston, tip·r, tilt·r), r the springs' radius: all entries in N/m."""
+    r is the springs' radius.
+    """
     a = design.actuator
     springs, electrodes = lever_arms(design)
     unit = np.array([1.0, *2 * [1 / a.spring_radius_m]])
@@ -276,7 +274,7 @@ def _rest(design: MicromirrorDesign, voltages: Array) -> Equilibrium | None:
     unit = np.array([1.0, *2 * [1 / a.spring_radius_m]])
     q = np.zeros(3)
     for _ in range(_NEWTON_STEPS):
-        stiffness = _stiffness(design, voltages, q)
+        stiffness = stiffness_matrix(design, voltages, q)
         if np.linalg.eigvalsh(stiffness)[0] <= 0:
             return None
         pull = (electrodes * unit).T @ forces(design, voltages, electrodes @ q)
@@ -288,8 +286,8 @@ def _rest(design: MicromirrorDesign, voltages: Array) -> Equilibrium | None:
             return None
         if np.abs(electrodes @ step).max() < 1e-15 * a.gap_m:
             break
-    lowest = np.linalg.eigvalsh(_stiffness(design, voltages, q))[0]
-    free = np.linalg.eigvalsh(_stiffness(design, np.zeros(3), np.zeros(3)))[0]
+    lowest = np.linalg.eigvalsh(stiffness_matrix(design, voltages, q))[0]
+    free = np.linalg.eigvalsh(stiffness_matrix(design, np.zeros(3), np.zeros(3)))[0]
     if lowest <= 0:
         return None
     return Equilibrium(float(q[0]), float(q[1]), float(q[2]), travel, float(lowest / free))

@@ -159,17 +159,13 @@ class Sheet:
             np.asarray(field), solved[self._plate.nodal_dofs[0]], np.sum(np.asarray(field.grad) ** 2, axis=0)
         )
 
-    @cached_property
-    def _planes(self) -> Float[Array, "dof 3"]:
-        """The plate's three rigid motions: level, and the two slopes of 1 over the side."""
-        motions = (lambda x: 1.0 + 0 * x[0], lambda x: x[0] / self.side_m, lambda x: x[1] / self.side_m)
-        return np.column_stack([self._plate.project(motion) for motion in motions])
-
     def _free(self, bending: Any, held: Any, force: Array) -> Array:
         """Solve with separate rigid motions: soft springs would be lost in the rounding of stiff bending."""
         corners = self._plate.nodal_dofs[0][[0, self.cells, -1]]
         inner = np.setdiff1d(np.arange(force.size), corners)
-        planes = self._planes
+        # the three rigid motions: level, and the two slopes of 1 over the side
+        motions = (lambda x: 1.0 + 0 * x[0], lambda x: x[0] / self.side_m, lambda x: x[1] / self.side_m)
+        planes = np.column_stack([self._plate.project(motion) for motion in motions])
         mixed, rigid = held @ planes, planes.T @ (held @ planes)
         solve = splu((bending + held)[inner][:, inner].tocsc()).solve
         against, under = solve(mixed[inner]), solve(force[inner])

@@ -49,8 +49,6 @@ def scatter(surface: SurfaceDesign, wavelength_um: ArrayLike, incidence_rad: flo
     ----------
     surface
         Roughness, correlation length and slope.
-    wavelength_um
-        [µm]
     incidence_rad
         Of the chief ray; only the amount depends on it. [rad]
 

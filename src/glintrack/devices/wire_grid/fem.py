@@ -322,8 +322,6 @@ def measure(pixel: Pixel, wavelength_um: float, permittivity: complex) -> dict[s
 
     Parameters
     ----------
-    pixel
-        The meshes.
     wavelength_um
         In vacuum. [µm]
     permittivity
@@ -363,8 +361,6 @@ def field_maps(design: WireGridDesign, wavelength_um: float, step_um: float = 0.
 
     Parameters
     ----------
-    design
-        The pixel.
     wavelength_um
         In vacuum. [µm]
     step_um

@@ -93,8 +93,6 @@ def solve(
 
     Parameters
     ----------
-    design
-        The grid.
     wavelength_um
         Rising, within 0.4 to 2.5 µm and the metal's data. [µm]
     workers
@@ -250,15 +248,12 @@ def _solve_all(
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
     command, pipe = [sys.executable, "-m", "glintrack.devices.wire_grid.fem"], subprocess.PIPE
     options: dict[str, Any] = {"stdin": pipe, "stdout": pipe, "stderr": subprocess.STDOUT, "text": True}
+    parts = [dict(list(tasks.items())[k::workers]) for k in range(workers)]
     with ExitStack() as stack, ThreadPoolExecutor(workers) as pool:
-        started = [
-            stack.enter_context(subprocess.Popen(command, env=environment, **options)) for _ in range(workers)
-        ]
-        parts = [dict(list(tasks.items())[k::workers]) for k in range(workers)]
+        started = [stack.enter_context(subprocess.Popen(command, env=environment, **options)) for _ in parts]
+        pairs = zip(started, parts, strict=True)
         try:
-            for turn in [
-                pool.submit(_serve, *pair, design, keep) for pair in zip(started, parts, strict=True)
-            ]:
+            for turn in [pool.submit(_serve, *pair, design, keep) for pair in pairs]:
                 turn.result()
         finally:  # after an interrupt, or where one worker failed, the others need not go on
             for process in started:
