@@ -125,7 +125,7 @@ def _track(
 
 
 def _design(own: TrackDesign, baseline: Baseline) -> TrackDesign:
-    """The case's tracker for raws, the default one for rectified frames; without spectra and road map."""
+    """Choose the tracker of the case or of rectified frames, without queries and roads."""
     rectified = FRAMES_DESIGN.replace({"reporting.history": False})
     return (own if baseline.raw else rectified).replace(
         {

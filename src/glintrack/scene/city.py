@@ -43,6 +43,10 @@ from glintrack.scene.vehicles import build_models
 MAX_TREES = 60_000  # each is an instance of some hundred bytes here and about a thousand in the ray tracer
 _PARKED_PAINT_KEY = 1_000_000  # parked vehicles draw their paints from other keys than driving ones
 _RELIEF_KEY = 7  # hills are drawn from other numbers than buildings
+SITES = {
+    **{"embedded": procedural_site, "braunschweig": braunschweig_site},
+    **{"net": network_site, "osm": network_site, "mesh": mesh_site},
+}
 
 
 @dataclass(frozen=True)
@@ -186,11 +190,7 @@ class City:
         return is_level(self.terrain)
 
     def _present(self, time_s: float) -> tuple[Int[Array, "vehicle"], Float[Array, "vehicle 5"]]:
-        if not -1e-6 <= time_s <= self.duration_s + 1e-6:  # a microsecond: rounding of the clock
-            raise ValueError(
-                f"`time_s` must lie within the recorded traffic, 0 to {self.duration_s:g} s, got {time_s:g}"
-            )
-        ids, states = self.traffic.at(min(max(time_s, 0.0), self.duration_s))
+        ids, states = self.traffic.at(time_s)
         west, south, east, north = self.extent_m
         near = (states[:, 0] > west - VEHICLE_MARGIN_M) & (states[:, 0] < east + VEHICLE_MARGIN_M)
         near &= (states[:, 1] > south - VEHICLE_MARGIN_M) & (states[:, 1] < north + VEHICLE_MARGIN_M)
@@ -216,7 +216,7 @@ def build_scene(design: SceneDesign) -> City:
         path = resolve_file(design.materials_file)
         library, mesh_materials = load_user_materials(path, design.polarized_bases)
     index = material_index(library)
-    site = _site(design)
+    site = SITES[design.city](design)
     panels = _panels(design, index, site.extent_m)  # a mesh's window is its own
     traffic = site.recording.traffic
     warn_of_jam(traffic, site.extent_m)
@@ -263,13 +263,8 @@ def record_traffic(design: SceneDesign) -> Recording:
     Recording in the coordinates of a ``traffic_file``: those of the network for city ``net`` and ``osm``,
     else ENU. [m]
     """
-    site = _site(design)
+    site = SITES[design.city](design)
     return site.recording.shift(*site.traffic_origin_m)
-
-
-def _site(design: SceneDesign) -> Site:
-    sites = {"embedded": procedural_site, "braunschweig": braunschweig_site, "mesh": mesh_site}
-    return sites.get(design.city, network_site)(design)
 
 
 def _panels(

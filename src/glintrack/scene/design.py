@@ -91,7 +91,7 @@ class SceneDesign(Design):
     dem_file: FileName | None = None
     """Heights of the ground, any raster with a CRS that GDAL reads; the scene is draped over it."""
     crs: str | None = None
-    """Projected CRS in which ENU (0, 0) lies; for a mesh, and for networks without a projection."""
+    """Projected CRS of ENU (0, 0); for a mesh, and for networks without a projection."""
     origin_m: tuple[Coordinate, Coordinate] | None = None
     """Easting and northing of ENU (0, 0) in that CRS."""
     relief_m: float | None = Field(default=None, ge=0, le=40)

@@ -13,7 +13,7 @@ measured reflectance. It is synthetic: reflectance is measured, transmittance is
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -258,7 +258,7 @@ def _transmittance(
 ) -> Array:
     """Transmittance of a thin sheet of a material; 0 unless it is a leaf."""
     if design.transmittance_column is not None:
-        values = _read_user_spectrum(str(design.file), design.transmittance_column, folder, wavelength)
+        values = _read_user_spectrum(str(design.file), design.transmittance_column, wavelength, folder)
     elif design.leaf_absorptance is not None and design.refractive_index is not None:
         values = leaf_transmittance(reflectance, design.leaf_absorptance, design.refractive_index)
     else:
@@ -280,15 +280,10 @@ def _optical_constants(
     if design.refractive_index is not None:
         pair = design.refractive_index, design.extinction_index
         return np.repeat(np.array(pair)[:, None], wavelength.size, axis=1)
-    name = str(design.optical_constants_file or design.optical_constants)
-    both = np.stack(
-        [
-            _read_user_spectrum(name, column, folder, wavelength)
-            if design.optical_constants_file
-            else _read_packaged_spectrum(name, column, "optical_constants", wavelength)
-            for column in ("n", "k")
-        ]
-    )
+    name, read = design.optical_constants_file, partial(_read_user_spectrum, folder=folder)
+    if name is None:
+        name, read = design.optical_constants, partial(_read_packaged_spectrum, key="optical_constants")
+    both = np.stack([read(str(name), column, wavelength) for column in ("n", "k")])
     if both[0].min() <= 0 or both[1].min() < 0 or both.max() > _MAX_INDEX:
         raise ValueError(
             f"`{name}` must have n above 0 and k of at least 0, neither above {_MAX_INDEX:g}, got "
@@ -297,14 +292,14 @@ def _optical_constants(
     return both
 
 
-def _read_user_spectrum(name: str, column: str, folder: Path | None, wavelength: Array) -> Array:
+def _read_user_spectrum(name: str, column: str, wavelength: Array, folder: Path | None) -> Array:
     place = folder or Path()
     if not resolve_path(place / name).is_relative_to(resolve_path(place)) or not is_file(place / name):
         raise ValueError(f"`{name}` must be a file in the materials file's folder or below, got none there")
     return spectral.resample(wavelength, *read_spectrum(place / name, column), name)
 
 
-def _read_packaged_spectrum(name: str, column: str, key: str, wavelength: Array) -> Array:
+def _read_packaged_spectrum(name: str, column: str, wavelength: Array, key: str) -> Array:
     path = resources.files("glintrack") / "data" / "spectra" / f"{name}.csv"
     if not (name.isidentifier() and len(name) <= 100 and path.is_file()):  # no path to another folder
         raise ValueError(f"`{key}` must be one of the packaged spectra, got {name!r}")
@@ -316,11 +311,11 @@ def _base(name: str, design: MaterialDesign, folder: Path | None, wavelength: Ar
     if design.constant is not None:
         base = np.full(wavelength.size, design.constant)
     elif design.file is not None:
-        base = _read_user_spectrum(design.file, design.column, folder, wavelength)
+        base = _read_user_spectrum(design.file, design.column, wavelength, folder)
     else:
         base = np.zeros(wavelength.size)
         for part, weight in (design.mix or {str(design.spectrum): 1.0}).items():
-            base += weight * _read_packaged_spectrum(part, design.column, "spectrum", wavelength)
+            base += weight * _read_packaged_spectrum(part, design.column, wavelength, "spectrum")
     wrong = np.flatnonzero(~((base >= 0) & (base <= 1)))
     if wrong.size:
         k = wrong[np.argmax(np.abs(base[wrong] - 0.5))]

@@ -129,9 +129,9 @@ class Traffic:
             If the time is outside the recording.
         """
         position = time_s / self.step_s
-        if not -1e-6 <= position <= self.steps - 1 + 1e-6:  # a millionth of a step: rounding of the clock
+        if not -1e-5 <= position <= self.steps - 1 + 1e-5:  # a part of a step: rounding of the clock
             raise ValueError(
-                f"`time_s` must lie within the traffic recording, 0 to {self.duration_s:g} s, got {time_s:g}"
+                f"`time_s` must lie within the recorded traffic, 0 to {self.duration_s:g} s, got {time_s:g}"
             )
         position = min(max(position, 0.0), self.steps - 1.0)
         ids = np.flatnonzero((self.first <= position) & (position <= self.first + self.count - 1))

@@ -139,7 +139,7 @@ def test_triangles_that_lie_on_others_are_left_out_and_told(tmp_path):
     twice = [*FACES, [2, 1, 0]]  # the first once more, seen from behind
     mesh = read_mesh(export(tmp_path, SQUARE, twice))
     np.testing.assert_array_equal(mesh.faces, FACES)
-    assert "1 triangles lie on others: the first of each is kept" in mesh.flaws
+    assert "1 triangles lie on others: the first of each is used" in mesh.flaws
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,11 @@ def add_building(
             planes, rest = gable_or_hip_roof(footprint, building.eaves_m, building.slope_rad, hip)
             builder.add(building.roof_material, planes)
             builder.add(building.wall, rest)
-            _add_chimney(builder, building, footprint, rng)
+            centre, axis, length, width = bounding_rectangle(footprint)
+            if rng.random() <= 0.7:  # a chimney
+                place = centre + rng.uniform(-0.2, 0.2) * length * axis
+                ridge = building.eaves_m + 0.5 * width * math.tan(building.slope_rad)
+                builder.add("brick", box_patch(np.array([*place, ridge + 0.2]), np.array([0.9, 0.7, 1.6])))
             _add_dormers(builder, building, footprint, rng)
         case "mansard":
             planes, top = mansard_roof(footprint, building.eaves_m, building.slope_rad, inset_m=2.2)
@@ -129,17 +133,6 @@ def _panes(footprint: Polygon, building: Building) -> Patch:
         left, right = (a + outward + (middle + d)[:, None] * direction for d in (-width / 2, width / 2))
         found.append(upright(left, right, low, high))
     return join(found)
-
-
-def _add_chimney(
-    builder: MeshBuilder, building: Building, footprint: Polygon, rng: np.random.Generator
-) -> None:
-    centre, axis, length, width = bounding_rectangle(footprint)
-    if rng.random() > 0.7:
-        return
-    place = centre + rng.uniform(-0.2, 0.2) * length * axis
-    ridge = building.eaves_m + 0.5 * width * math.tan(building.slope_rad)
-    builder.add("brick", box_patch(np.array([*place, ridge + 0.2]), np.array([0.9, 0.7, 1.6])))
 
 
 def _add_dormers(

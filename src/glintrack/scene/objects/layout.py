@@ -251,7 +251,7 @@ def _positions(
 def _place(
     things: Sequence[ParkedVehicle | HedgePiece], terrain: xr.Dataset | None
 ) -> Float[Array, "thing 3 4"]:
-    """Transforms of objects that follow the slope of the ground."""
+    """Place objects on the slope of the ground, as transforms."""
     position = _positions(things, terrain)
     slope = None if terrain is None else slope_at(terrain, position[:, 0], position[:, 1])
     return body_to_enu(position, np.array([t.heading_rad for t in things], float), slope)

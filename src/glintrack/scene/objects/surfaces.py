@@ -236,28 +236,24 @@ def _markings(network: RoadNetwork) -> BaseGeometry:
         if lane.index == top[lane.edge_id]:
             centre = line.offset_curve(lane.width_m / 2 - 0.12)
             shapes += _dashes(centre, 3.0, 4.5) if "residential" in lane.street_type else [centre]
-        if lane.signalled:
-            shapes.append(_stop_line(lane))
+        if lane.signalled:  # a stop line
+            end = np.array(line.interpolate(max(line.length - 0.8, 0.0)).coords[0])
+            forward = lane.points[-1] - lane.points[-2]
+            across = np.array([-forward[1], forward[0]]) / max(np.hypot(*forward), 1e-9)
+            across = across * (lane.width_m / 2 - 0.15)
+            shapes.append(LineString([end - across, end + across]).buffer(0.25, cap_style="flat"))
     solid = [
         s.buffer(_LINE_HALF_WIDTH_M, cap_style="flat") if isinstance(s, LineString) else s for s in shapes
     ]
-    return unary_union([*solid, *(bar for lane in network.of_kind("crossing") for bar in _zebra(lane))])
+    for lane in network.of_kind("crossing"):
+        starts = np.arange(0.4, lane.line.length - 0.5, 1.0)
+        bars = [substring(lane.line, start, start + 0.5) for start in starts]
+        solid += [
+            b.buffer(lane.width_m / 2 - 0.3, cap_style="flat") for b in bars if isinstance(b, LineString)
+        ]
+    return unary_union(solid)
 
 
 def _dashes(line: BaseGeometry, on_m: float, off_m: float) -> list[BaseGeometry]:
     starts = np.arange(1.0, line.length - on_m, on_m + off_m)
     return [substring(line, s, s + on_m) for s in starts] if isinstance(line, LineString) else []
-
-
-def _stop_line(lane: Lane) -> BaseGeometry:
-    line = lane.line
-    end = np.array(line.interpolate(max(line.length - 0.8, 0.0)).coords[0])
-    forward = lane.points[-1] - lane.points[-2]
-    across = np.array([-forward[1], forward[0]]) / max(np.hypot(*forward), 1e-9) * (lane.width_m / 2 - 0.15)
-    return LineString([end - across, end + across]).buffer(0.25, cap_style="flat")
-
-
-def _zebra(lane: Lane) -> list[BaseGeometry]:
-    line = lane.line
-    bars = [substring(line, s, s + 0.5) for s in np.arange(0.4, line.length - 0.5, 1.0)]
-    return [b.buffer(lane.width_m / 2 - 0.3, cap_style="flat") for b in bars if isinstance(b, LineString)]

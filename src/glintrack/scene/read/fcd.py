@@ -207,7 +207,7 @@ def model_of(vehicle_type: str) -> str:
 
 
 def _number_stretches(path: Path, vehicle: Array, step: Array, time: Array, names: Array) -> Array:
-    """Number each row's unbroken stretch of time steps, vehicle after vehicle."""
+    """Assign a number to each row's unbroken stretch of time steps, vehicle after vehicle."""
     order = np.lexsort((step, vehicle))
     same, ahead = np.diff(vehicle[order]) == 0, np.diff(step[order])
     twice = np.flatnonzero(same & (ahead == 0))

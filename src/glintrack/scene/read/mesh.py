@@ -142,7 +142,7 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
     _, joined = np.unique(np.round(vertices, 4), axis=0, return_inverse=True)
     _, first = np.unique(np.sort(joined.ravel()[faces[kept]], axis=1), axis=0, return_index=True)
     if first.size < kept.size:  # a ray would meet either at random
-        flaws.append(f"{kept.size - first.size} triangles lie on others: the first of each is kept")
+        flaws.append(f"{kept.size - first.size} triangles lie on others: the first of each is used")
         kept = kept[np.sort(first)]
     corners = np.sort(joined.ravel()[faces[kept]][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     _, uses = np.unique(corners, axis=0, return_counts=True)

@@ -63,14 +63,11 @@ class Polygons:
         (kind, shape) with kinds ``water``, ``forest``, ``parking``, ``soil``, ``dry``, ``lawn``.
     courtyards
         Number of courtyards.
-    skipped
-        Number of polygons of other kinds, too small, or without area.
     """
 
     footprints: tuple[Footprint, ...] = ()
     grounds: tuple[tuple[str, BaseGeometry], ...] = ()
     courtyards: int = 0
-    skipped: int = 0
 
 
 def read_polygons(path: Path) -> Polygons:
@@ -86,20 +83,17 @@ def read_polygons(path: Path) -> Polygons:
         raise ValueError(f"`{path.name}` must be SUMO polygons (root element additional), got {root.tag!r}")
     buildings: list[Footprint] = []
     grounds: list[tuple[str, BaseGeometry]] = []
-    skipped = 0
     for element in root.iter("poly"):
         kind = _kind(element.get("type", ""))
         points = shape_points(path, element.get("shape", ""))
         shape = shapely.make_valid(Polygon(points)) if len(points) > 3 else Polygon()
         parts = [p for p in polygons(shape) if p.area > _MIN_FOOTPRINT_M2]
-        if kind is None or not parts:
-            skipped += 1
-        elif kind == "building":
+        if kind == "building":
             buildings += [Footprint(part, _height(element)) for part in parts]
-        else:
+        elif kind is not None:
             grounds += [(kind, part) for part in parts]
     whole, courtyards = _cut_courtyards(buildings, path.name)
-    return Polygons(tuple(whole), tuple(grounds), courtyards, skipped)
+    return Polygons(tuple(whole), tuple(grounds), courtyards)
 
 
 def _kind(name: str) -> str | None:

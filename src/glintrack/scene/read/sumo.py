@@ -33,7 +33,6 @@ from glintrack.scene.vehicles import load_vehicles
 
 _MAX_PHASE_S = 600.0
 _MAX_LANE_WIDTH_M = 100.0  # walking areas are outlines
-DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's own default
 _MOTOR = frozenset({"passenger", "delivery", "bus", "taxi", "private", "truck", "coach"})
 _RAIL = frozenset({"tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway", "cable_car"})
 
@@ -75,14 +74,11 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
     if root.tag != "net":
         raise ValueError(f"`{path.name}` must be a SUMO network (root element net), got {root.tag!r}")
     signalled = {c.get("from") for c in root.iter("connection") if c.get("tl")}
-    lanes = tuple(
-        lane for edge in root.iter("edge") for lane in _lanes(path, edge, edge.get("id") in signalled)
-    )
+    edges = list(root.iter("edge"))
+    lanes = tuple(lane for edge in edges for lane in _lanes(path, edge, edge.get("id") in signalled))
     if not lanes:
         raise ValueError(f"`{path.name}` must hold at least one lane with a shape, got none")
-    motor_lanes = {
-        lane.get("id") for edge in root.iter("edge") for lane in edge if _kind(edge, lane) == "car"
-    }
+    motor_lanes = {lane.get("id") for edge in edges for lane in edge if _kind(edge, lane) == "car"}
     junctions = tuple(
         shape_points(path, junction.get("shape", ""))
         for junction in root.iter("junction")
@@ -104,10 +100,8 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
 
 def count_standing_signals(path: Path) -> int:
     """Count the signal programs of a network with a phase of over ten minutes, as if switched by hand."""
-    root = read_xml(path)
-    phases = (
-        [_number(path, p, "duration", 0.0) for p in logic.iter("phase")] for logic in root.iter("tlLogic")
-    )
+    programs = read_xml(path).iter("tlLogic")
+    phases = ([_number(path, p, "duration", 0.0) for p in program.iter("phase")] for program in programs)
     return sum(len(durations) > 1 and max(durations) > _MAX_PHASE_S for durations in phases)
 
 
@@ -131,7 +125,7 @@ def _lanes(path: Path, edge: Element, signalled: bool) -> list[Lane]:
         points = shape_points(path, element.get("shape", ""))
         if kind is None or len(points) < (3 if kind == "walking_area" else 2):
             continue
-        width_m = _number(path, element, "width", DEFAULT_LANE_WIDTH_M)
+        width_m = _number(path, element, "width", 3.2)  # SUMO's own default
         if not 0 < width_m <= _MAX_LANE_WIDTH_M:
             raise ValueError(
                 f"`{path.name}` must give lanes a width of 0 to {_MAX_LANE_WIDTH_M:g} m, got {width_m:g} for "
@@ -194,7 +188,6 @@ def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
     return points
 
 
-WARMUP_S = 300.0  # after which the traffic in a window of the default size is steady
 _DEBIAN_PACKAGES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
 # Model, vClass and share in the traffic. The first mix is that of Braunschweig, after its published commands;
 # all other traffic, the shipped recording too, has the full one.
@@ -243,7 +236,7 @@ class SumoRun:
     duration_s: float
     insertion_period_s: float
     seed: int
-    warmup_s: float = WARMUP_S
+    warmup_s: float = 300.0  # after which the traffic in a window of the default size is steady
     mix: Mix = FIRST_MIX
 
 
@@ -261,22 +254,18 @@ def sumo_home() -> Path:
     return Path(next(iter(spec.submodule_search_locations)))
 
 
-def sumo_version() -> str:
-    """Version of the installed SUMO, ``"unknown"`` without one."""
-    try:
-        return importlib.metadata.version("eclipse-sumo")
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
-
-
 def load_or_simulate(run: SumoRun) -> Recording:
     """Load the recording of a run from the cache, or simulate and cache it.
 
     The file's name has the content hash of the run and the digest of the file; a file that does not match its
     name is rebuilt.
     """
+    try:
+        version = importlib.metadata.version("eclipse-sumo")
+    except importlib.metadata.PackageNotFoundError:
+        version = "unknown"
     settings = {name: value for name, value in vars(run).items() if name != "inputs"}
-    said = repr((FORMAT, sumo_version(), vehicle_types_xml(run.mix), sorted(settings.items())))
+    said = repr((FORMAT, version, vehicle_types_xml(run.mix), sorted(settings.items())))
     key = content_hash([*(path.read_bytes() for path in run.inputs), said], 24)
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "glintrack" / "traffic"
     for path in sorted(folder.glob(f"{key}-*.nc")):

@@ -211,7 +211,7 @@ def buildings_by_rule(
     carriageway: BaseGeometry,
     rng: np.random.Generator,
 ) -> tuple[Building, ...]:
-    """Buildings on outlines with known or unknown heights [m], cropped to an area and clear of streets."""
+    """Draw buildings on outlines with known or unknown heights [m], in an area and clear of streets."""
     clear = carriageway.buffer(0.3)
     return tuple(
         _building_by_rule(part, height_m, rng)
@@ -273,12 +273,12 @@ def pavement_parking(
         quiet = any(word in lane.street_type for word in ("residential", "unclassified", "living_street"))
         if not quiet or lane.index > 1 or lane.line.length < 25:
             continue
-        beside = lane.line.offset_curve(-(lane.width_m / 2 + 0.95))
-        if not isinstance(beside, LineString):
+        row = lane.line.offset_curve(-(lane.width_m / 2 + 0.95))
+        if not isinstance(row, LineString):
             continue
-        for d in np.arange(8.0, beside.length - 8.0, 5.9):
+        for d in np.arange(8.0, row.length - 8.0, 5.9):
             wanted, model = rng.random() < 0.6, int(rng.choice([0, 1, 2], p=[0.6, 0.33, 0.07]))
-            here, ahead = (np.array(beside.interpolate(d + e).coords[0]) for e in (-2.2, 2.2))
+            here, ahead = (np.array(row.interpolate(d + e).coords[0]) for e in (-2.2, 2.2))
             body = LineString([here, ahead]).buffer(0.85, cap_style="flat")
             if not wanted or not area.contains(body) or blocked.intersects(body):
                 continue
