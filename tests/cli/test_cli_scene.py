@@ -34,7 +34,7 @@ def test_a_scene_moves_with_the_files_beside_it(tmp_path):
     design = SceneDesign(city="osm", **given)
     written = design.with_relative_files(tmp_path)
     assert (written.osm_file, written.dem_file) == ("data/town.osm", "/elsewhere/dem.tif")
-    assert written.located(tmp_path) == design
+    assert written.resolve_files(tmp_path) == design
 
 
 def test_build_writes_a_case_and_refuses_what_is_there(tmp_path):

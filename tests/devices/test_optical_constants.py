@@ -56,7 +56,7 @@ def test_a_table_gives_its_rows_back(tmp_path):
     path.write_text("# source: made up\nwavelength_um,n,k\n0.5,1.0,2.0\n0.7,2.0,4.0\n")
     metal = MetalDesign(model="table", table=path)
     assert permittivity(metal, [0.5, 0.6]) == pytest.approx([(1 + 2j) ** 2, (1.5 + 3j) ** 2])
-    assert MetalDesign(model="table", table="metal.csv").located(tmp_path).table == path
+    assert MetalDesign(model="table", table="metal.csv").resolve_files(tmp_path).table == path
 
 
 @pytest.mark.parametrize(

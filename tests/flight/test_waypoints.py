@@ -20,7 +20,7 @@ def flown(tmp_path, name, text, **keys):
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     keys = {"frames": 3, "rate_hz": 1.0, "speed_m_s": 100.0, **keys}
-    design = FlightDesign(kind="waypoints", waypoint_file=name, **keys).located(tmp_path)
+    design = FlightDesign(kind="waypoints", waypoint_file=name, **keys).resolve_files(tmp_path)
     return build_flight(design, 1.0, CRS, ORIGIN)
 
 

@@ -56,7 +56,7 @@ def test_the_papers_grids_come_per_aperture():
 
 def test_quantum_efficiency_from_a_file_weighs_the_band(tmp_path):
     (tmp_path / "qe.csv").write_text("# source: made up\nwavelength_um,efficiency\n0.4,0\n1.0,0.6\n")
-    design = plain_sensor(quantum_efficiency="qe.csv", rows=8, columns=8).located(tmp_path)
+    design = plain_sensor(quantum_efficiency="qe.csv", rows=8, columns=8).resolve_files(tmp_path)
     sensor = build_sensor(design, GRID)
     mean_um = sensor.pan_weights[0] @ GRID
     weight = GRID * (GRID - 0.4) * np.r_[0.5, np.ones(len(GRID) - 2), 0.5]

@@ -220,7 +220,7 @@ class Case(Design):
     def _located(self, folder: Path, inside: Sequence[Path] | None, free: Container[str] = ()) -> "Case":
         """The same case with relative file names taken from a folder; files of ``free`` keys lie anywhere."""
         parts = {"scene": self.scene, "flight": self.flight, "sensor": self.sensor}
-        located = {name: part.located(folder) for name, part in parts.items()}
+        located = {name: part.resolve_files(folder) for name, part in parts.items()}
         if inside is not None:
             folders = [one.resolve() for one in inside]
             for name, part in parts.items():

@@ -33,7 +33,7 @@ def solve_etalon(
 ) -> None:
     """Transmittance of a tunable etalon over gap and wavelength, its peaks and drive voltages."""
     made = validate_design(EtalonDesign, read_toml(design, "design"))
-    made = made.model_copy(update={"metal": made.metal.located(design.parent)})
+    made = made.model_copy(update={"metal": made.metal.resolve_files(design.parent)})
     check_folder(output)
     table = etalon.tabulate(made)
     netcdf.write_dataset(output, table)

@@ -248,7 +248,7 @@ def _design(name: str) -> SceneDesign:
     table = over_like(read_toml(path, "scene")).get("scene")
     if not isinstance(table, dict):
         raise ValueError(f"`scene` must be a TOML file with a [scene] table, got none in {name}")
-    return validate_design(SceneDesign, table).located(path.parent)
+    return validate_design(SceneDesign, table).resolve_files(path.parent)
 
 
 def _built(design: SceneDesign, console: Console) -> City:

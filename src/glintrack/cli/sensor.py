@@ -215,4 +215,4 @@ def _design(name: str) -> SensorDesign:
             f"`sensor` must be one of {', '.join(design_names())} or a TOML file with a [sensor] table, "
             f"got {name}"
         )
-    return validate_design(SensorDesign, table).located(path.parent)
+    return validate_design(SensorDesign, table).resolve_files(path.parent)

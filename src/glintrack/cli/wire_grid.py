@@ -95,4 +95,4 @@ def _read_grid(name: str) -> WireGridDesign:
     if not path.exists() and name in PAPER_GRIDS:
         return PAPER_GRIDS[name]
     design = validate_design(WireGridDesign, read_toml(path, "design"))
-    return design.model_copy(update={"metal": design.metal.located(path.parent)})
+    return design.model_copy(update={"metal": design.metal.resolve_files(path.parent)})

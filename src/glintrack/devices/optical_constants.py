@@ -87,7 +87,7 @@ class MetalDesign(Design):
             )
         return self
 
-    def located(self, folder: Path) -> Self:
+    def resolve_files(self, folder: Path) -> Self:
         """Resolve the metal's file name against ``folder``."""
         return self if self.table is None else self.model_copy(update={"table": folder / self.table})
 

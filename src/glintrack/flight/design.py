@@ -91,7 +91,7 @@ class FlightDesign(Design):
             )
         return self
 
-    def located(self, folder: Path) -> "FlightDesign":
+    def resolve_files(self, folder: Path) -> "FlightDesign":
         """Resolve a relative file name from a folder."""
         if self.waypoint_file is None:
             return self

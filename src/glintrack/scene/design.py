@@ -178,7 +178,7 @@ class SceneDesign(Design):
         """Return True if the city needs files of the user's."""
         return any(getattr(self, name) is not None for name in _FILES)
 
-    def located(self, folder: Path) -> "SceneDesign":
+    def resolve_files(self, folder: Path) -> "SceneDesign":
         """Resolve relative file names from a folder."""
         return self._replace_files(lambda name: str(resolve_path(folder / name)))
 

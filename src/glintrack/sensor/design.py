@@ -303,7 +303,7 @@ class SensorDesign(Design):
         dark_e = self.dark_current_e_per_s * self.integration_time_ms * 1e-3
         return math.sqrt(dark_e + self.read_noise_e**2 + self.electrons_per_count**2 / 12)
 
-    def located(self, folder: Path) -> "SensorDesign":
+    def resolve_files(self, folder: Path) -> "SensorDesign":
         """Resolve relative file names against a folder."""
         found = {}
         for name in _FILES:
