@@ -22,7 +22,7 @@ from glintrack.case.design import Case
 from glintrack.core.designs import validate_design
 from glintrack.dataset.build import read_about
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign
-from glintrack.devices.optical_constants import read_nk
+from glintrack.devices.optical_constants import MetalDesign, permittivity
 from glintrack.flight.waypoints import read_waypoints
 from glintrack.io.detections import read_detections, read_tracks, read_truth
 from glintrack.io.netcdf import read_dataset
@@ -373,7 +373,7 @@ def _curve(path: Path):
 
 
 def _metal(path: Path):
-    return read_nk(path).permittivity(np.array([0.4, 0.6]))
+    return permittivity(MetalDesign(model="table", table=path), np.array([0.4, 0.6]))
 
 
 def _heights(path: Path):

@@ -41,7 +41,7 @@ def build_dataset(
     folder = Path(folder)
     require_extra("pycocotools.mask", "dataset", "write masks for COCO")
     _open_folder(folder, plan)
-    flown = 0
+    count = 0
     for name, case in plan.cases.items():
         missing = [shard for shard in plan.shards(name) if not is_done(folder, shard)]
         if not missing:
@@ -51,15 +51,15 @@ def build_dataset(
             frames: list[LabelledFrame] = []
             for frame in simulate_frames(case, scenario, shard.frames):
                 frames.append(frame)
-                flown += 1
+                count += 1
                 if progress is not None:
-                    progress(shard, flown)
+                    progress(shard, count)
             write_shard(folder, shard, frames)
     boxes = write_annotations(folder, plan)
     write_text(folder / "datasheet.md", datasheet(plan, boxes))
     names = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file() and p.name != SUMS)
     write_text(folder / SUMS, "".join(f"{file_hash(folder / name)}  {name}\n" for name in names))
-    return flown
+    return count
 
 
 def _open_folder(folder: Path, plan: DatasetPlan) -> None:

@@ -28,7 +28,6 @@ from glintrack.scene.objects.layout import (
     body_to_enu,
     build_mesh,
     expand_extent,
-    no_instances,
     place_instances,
 )
 from glintrack.scene.objects.plants import hedge_model, tree_models
@@ -208,8 +207,7 @@ def build_scene(design: SceneDesign) -> City:
     Raises
     ------
     ValueError
-        If a file is missing or bad, the design starts after its traffic ends, or an extra or a system library
-        is missing.
+        If a file is missing or bad, or an extra or a system library is missing.
     """
     library, mesh_materials = load_materials(design.polarized_bases), {}
     if design.materials_file:
@@ -225,7 +223,8 @@ def build_scene(design: SceneDesign) -> City:
     vehicles = build_models(index)
     if site.mesh is not None:
         static = _add_panels(site.mesh.mesh(mesh_materials, index), panels, index, terrain)
-        planted, said = no_instances(), ()
+        planted = Instances(np.zeros((0, 3, 4)), np.zeros(0, np.int64), np.zeros(0, np.int16))
+        said = ()
     else:
         layout, said = _plan_layout(site, design.trees, panels, layout_rng)
         keys = _PARKED_PAINT_KEY + np.arange(len(layout.parked))

@@ -299,11 +299,9 @@ def mansard_roof(shape: Polygon, eaves_m: float, slope_rad: float, inset_m: floa
     return facing_up((raised, faces)), flat(inner, top)
 
 
-def parapet_roof(
-    shape: Polygon, deck_m: float, parapet_m: float, thick_m: float = 0.3
-) -> tuple[Patch, Patch]:
+def parapet_roof(shape: Polygon, deck_m: float, parapet_m: float) -> tuple[Patch, Patch]:
     """Flat roof behind a parapet: the deck, and the parapet's inner face and coping."""
-    inner = shape.buffer(-thick_m, join_style="mitre")
+    inner = shape.buffer(-0.3, join_style="mitre")
     if not polygons(inner):
         return flat(shape, deck_m), EMPTY
     top = deck_m + parapet_m

@@ -191,11 +191,6 @@ class Instances:
         return len(self.model)
 
 
-def no_instances() -> Instances:
-    """Return an empty set of instances."""
-    return Instances(np.zeros((0, 3, 4)), np.zeros(0, np.int64), np.zeros(0, np.int16))
-
-
 def place_instances(
     layout: Layout,
     paints: Int[Array, "vehicle"],

@@ -154,7 +154,7 @@ class HedgePiece:
     leaf: str = "leaf"
 
 
-def hedge_along(line: LineString, leaf: str = "leaf") -> list[HedgePiece]:
+def hedge_along(line: LineString, leaf: str) -> list[HedgePiece]:
     """Place whole pieces along a straight line, centred on it. [m]"""
     count = int(line.length / PIECE_M)
     (x0, y0), (x1, y1) = line.coords[0], line.coords[-1]

@@ -154,7 +154,7 @@ def add_ground(
     rest: str,
     terrain: xr.Dataset | None = None,
 ) -> None:
-    """Build streets, patches and what is left of the area as surfaces.
+    """Build streets, patches and the rest of the area as surfaces.
 
     Parameters
     ----------

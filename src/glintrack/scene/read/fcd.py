@@ -9,7 +9,7 @@ import io
 import math
 import zlib
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 from xml.etree.ElementTree import ParseError
 
@@ -44,49 +44,12 @@ _MAX_NAMED_TYPES = 6
 _NO_ROAD_USERS = ("pedestrian", "bicycle", "bike", "tram", "rail", "subway", "ship", "person")
 
 
-@dataclass(frozen=True)
-class Oddities:
-    """Changes made to floating-car data.
-
-    Parameters
-    ----------
-    guessed, left_out
-        Number of vehicles with the model that their type suggests, and of other road users, by type.
-    returned
-        Number of times that a vehicle disappeared and came back as another one.
-    """
-
-    guessed: dict[str, int]
-    left_out: dict[str, int]
-    returned: int
-
-    def sentences(self) -> tuple[str, ...]:
-        """Describe the changes, one sentence each."""
-
-        def count(kinds: dict[str, int]) -> str:
-            few = list(kinds.items())[:_MAX_NAMED_TYPES]
-            return ", ".join(f"{n} × {kind or 'no type'}" for kind, n in few)
-
-        said = ()
-        if self.guessed:
-            said += (
-                f"{sum(self.guessed.values())} vehicles are shown as the model their type suggests, "
-                f"else a car: {count(self.guessed)}",
-            )
-        if self.left_out:
-            said += (f"what is no road vehicle is left out: {count(self.left_out)}",)
-        if self.returned:
-            times = "once" if self.returned == 1 else f"{self.returned} times"
-            said += (f"vehicles that vanish and come back do so as others, {times}",)
-        return said
-
-
 def read_fcd(
     path: Path,
     extent_m: tuple[float, float, float, float],
     start_s: float | None = None,
     returning: bool = True,
-) -> tuple[Traffic, Oddities]:
+) -> tuple[Traffic, tuple[str, ...]]:
     """Read floating-car data and crop them to a window.
 
     Parameters
@@ -106,7 +69,7 @@ def read_fcd(
     Returns
     -------
     Traffic in the file's coordinates, vehicles in order of first appearance, then of their id; and the
-    changes made.
+    changes made, one sentence each.
 
     Raises
     ------
@@ -115,7 +78,7 @@ def read_fcd(
         rows of a vehicle at one time.
     """
     if path.suffix == ".nc":
-        return read_recording(check_netcdf(path, path.name)).traffic, Oddities({}, {}, 0)
+        return read_recording(check_netcdf(path, path.name)).traffic, ()
     table = _read_table(path)
     table["vehicle_type"] = table["vehicle_type"].fillna("").astype(str)
     clock = np.unique(table["timestep_time"].to_numpy(dtype=float))  # of all that is in it
@@ -175,9 +138,25 @@ def read_fcd(
         bumper_north=y[rows],
         angle=np.radians(angle[rows]),
     )
-    guessed = Counter(str(kind) for kind in kinds if kind not in VEHICLE_CLASSES)
+    said = ()
+    guessed = [kind for kind in kinds if kind not in VEHICLE_CLASSES]
+    if guessed:
+        said += (
+            f"{len(guessed)} vehicles are shown as the model their type suggests, else a car: "
+            f"{_count_types(guessed)}",
+        )
+    if len(others):
+        said += (f"what is no road vehicle is left out: {_count_types(others)}",)
     returned = len(present) - len(np.unique(whole[rows]))
-    return traffic, Oddities(dict(guessed), dict(Counter(map(str, others))), returned)
+    if returned:
+        times = "once" if returned == 1 else f"{returned} times"
+        said += (f"vehicles that vanish and come back do so as others, {times}",)
+    return traffic, said
+
+
+def _count_types(kinds: Iterable[str]) -> str:
+    few = list(Counter(map(str, kinds)).items())[:_MAX_NAMED_TYPES]
+    return ", ".join(f"{n} × {kind or 'no type'}" for kind, n in few)
 
 
 def fcd_table(traffic: Traffic) -> pd.DataFrame:

@@ -43,8 +43,8 @@ def procedural_site(design: SceneDesign) -> Site:
     else:
         recording = _simulate(design, SHIPPED_PLAN if shipped else None, reach)
     if design.traffic_file:
-        traffic, odd = read_fcd(resolve_file(design.traffic_file), reach)
-        recording, said = replace(recording, traffic=traffic), odd.sentences()
+        traffic, changes = read_fcd(resolve_file(design.traffic_file), reach)
+        recording, said = replace(recording, traffic=traffic), changes
     fill = partial(fill_streets, recording.network, design.extent_m, shipped=shipped)
     return Site(recording, ROCHESTER, design.extent_m, fill, assumptions=said)
 
@@ -119,7 +119,7 @@ NETCONVERT = (
     *("--sidewalks.guess", "--sidewalks.guess.max-speed", "20", "--crossings.guess"),
     *("--default.lanewidth", "3.4", "--default.junctions.radius", "6"),
 )
-NETWORK_MARGIN_M = 200.0  # streets go on this far beyond a window, so that traffic has somewhere to come from
+NETWORK_MARGIN_M = 200.0  # of streets beyond the window, where traffic comes from
 _PARKING_LANE = '<lane index="0" disallow="all" width="2.2"/>'
 
 

@@ -148,8 +148,8 @@ def mesh_site(design: SceneDesign) -> Site:
         )
     if design.traffic_file:
         reach = expand_extent(extent, VEHICLE_MARGIN_M)
-        traffic, odd = read_fcd(resolve_file(design.traffic_file), reach)
-        said += odd.sentences()
+        traffic, changes = read_fcd(resolve_file(design.traffic_file), reach)
+        said += changes
     else:
         steps = int(np.ceil(design.traffic_duration_s / _STEP_S)) + 1
         none = {name: np.zeros(0) for name in ("bumper_east", "bumper_north", "angle")}

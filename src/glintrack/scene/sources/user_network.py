@@ -151,8 +151,8 @@ def _traffic(
     window = (centre[0] + west, centre[1] + south, centre[0] + east, centre[1] + north)
     kept = expand_extent(window, VEHICLE_MARGIN_M)
     if design.traffic_file:
-        traffic, odd = read_fcd(resolve_file(design.traffic_file), kept)
-        return Recording(near, traffic.shift(-centre[0], -centre[1])), odd.sentences()
+        traffic, changes = read_fcd(resolve_file(design.traffic_file), kept)
+        return Recording(near, traffic.shift(-centre[0], -centre[1])), changes
     crop = expand_extent(window, _CROP_MARGIN_M)
     driven = sum(lane.line.length for lane in network.within(box(*crop)).of_kind("car"))
     period = design.traffic_insertion_period_s
