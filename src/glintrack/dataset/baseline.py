@@ -90,7 +90,9 @@ def score_baselines(
     found: dict[str, list[dict[str, float]]] = {line: [] for line in baselines}
     for name in names:
         scenario = build_scenario(plan.cases[name])
-        truth, area_m = _truth_rows(folder, plan, name), scenario.city.extent_m
+        area_m, table = scenario.city.extent_m, read_rows(folder, plan, name, "truth.csv")
+        columns = {key: key.removesuffix("_m_s").removesuffix("_m") for key in table}
+        truth = xr.Dataset({to: ("row", table[key].to_numpy()) for key, to in columns.items()})
         for line, rows in _track(folder, plan, name, scenario, baselines).items():
             found[line].append(score_rows(rows, truth, area_m))
     return {
@@ -152,11 +154,3 @@ def _frames(folder: Path, plan: DatasetPlan, name: str, scenario: Scenario) -> I
             pose = Pose(**dict(zip(POSE, one["reported_pose"].values.tolist(), strict=True)), kind="reported")
             mosaic = mosaic_of(readings, sensor, NONE_SERVED)
             yield Frame(float(one["time_s"]), image, mosaic, sensor.camera, pose, terrain=terrain)
-
-
-def _truth_rows(folder: Path, plan: DatasetPlan, name: str) -> xr.Dataset:
-    """Truth of one case for `metrics.score_rows`."""
-    table = read_rows(folder, plan, name, "truth.csv")
-    columns = {column: column.removesuffix("_m_s").removesuffix("_m") for column in table}
-    columns |= {"time_s": "time_s", "vehicle_id": "vehicle_id"}
-    return xr.Dataset({to: ("row", table[column].to_numpy()) for column, to in columns.items()})

@@ -207,13 +207,19 @@ def _read_kml(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
         time_s = None
     else:
         degrees = _triples([str(e.text).split() for e in track if _tag(e) == "coord"], name)
-        when = [_seconds(str(e.text), name) for e in track if _tag(e) == "when"]
+        try:
+            when = [datetime.fromisoformat(str(e.text).strip()) for e in track if _tag(e) == "when"]
+        except ValueError as error:
+            raise ValueError(
+                f"`waypoint_file` must have times as in ISO 8601, got {error} in {name}"
+            ) from error
         if len(when) != len(degrees):
             raise ValueError(
                 f"`waypoint_file` must have a time for each place of its track, got {len(when)} times and "
                 f"{len(degrees)} places in {name}"
             )
-        time_s = start_s + np.array(when) - when[0] if when else None
+        seconds = [(t if t.tzinfo else t.replace(tzinfo=UTC)).timestamp() for t in when]
+        time_s = start_s + np.array(seconds) - seconds[0] if when else None
     return Waypoints(to_enu(degrees, datum_m if mode == "absolute" else 0.0), time_s)
 
 
@@ -231,11 +237,3 @@ def _triples(texts: list[list[str]], name: str) -> Array:
             f"`waypoint_file` must give longitude, latitude and altitude of each place, got {error} in {name}"
         ) from error
     return values
-
-
-def _seconds(text: str, name: str) -> float:
-    try:
-        when = datetime.fromisoformat(text.strip())
-    except ValueError as error:
-        raise ValueError(f"`waypoint_file` must have times as in ISO 8601, got {text!r} in {name}") from error
-    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()

@@ -222,7 +222,11 @@ def build_scene(design: SceneDesign) -> City:
     terrain, origin_height_m = _terrain(design, site)
     vehicles = build_models(index)
     if site.mesh is not None:
-        static = _add_panels(site.mesh.mesh(mesh_materials, index), panels, index, terrain)
+        builder = MeshBuilder(index)
+        builder.add_mesh(site.mesh.mesh(mesh_materials, index), np.eye(3, 4), 0)
+        for panel in panels:
+            add_panel(builder, panel, terrain)
+        static = builder.mesh()
         planted = Instances(np.zeros((0, 3, 4)), np.zeros(0, np.int64), np.zeros(0, np.int16))
         said = ()
     else:
@@ -337,14 +341,6 @@ def _thin_out(layout: Layout, count: int, rng: np.random.Generator) -> Layout:
         return layout
     chosen = np.sort(rng.permutation(len(layout.trees))[:count])
     return replace(layout, trees=tuple(layout.trees[k] for k in chosen))
-
-
-def _add_panels(mesh: Mesh, panels: tuple[Panel, ...], index: dict[str, int], terrain: xr.Dataset) -> Mesh:
-    builder = MeshBuilder(index)
-    builder.add_mesh(mesh, np.eye(3, 4), 0)
-    for panel in panels:
-        add_panel(builder, panel, terrain)
-    return builder.mesh()
 
 
 def glb(snapshot: Snapshot, materials: xr.Dataset) -> bytes:

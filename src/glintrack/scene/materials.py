@@ -193,12 +193,16 @@ def _dataset(designs: Mapping[str, MaterialDesign], folder: Path | None, polariz
     wavelength = spectral.wavelength_grid()
     kinds = designs.values()
     reflectance, transmittance, constants, preview = [], [], [], []
+    # display colours under an equal-energy light, to which the eye adapts; IEC 61966-2-1 primaries and gamma
+    matching = spectral.cie_xyz(wavelength)
+    white = SRGB_FROM_XYZ @ (matching.sum(axis=1) / matching[1].sum())
     for name, design in designs.items():
         base = _base(name, design, folder, wavelength)
         reflectance.append(base)
         transmittance.append(_transmittance(name, design, base, folder, wavelength))
         constants.append(_optical_constants(design, folder, wavelength))
-        preview.append(np.array(design.preview_rgb) if design.preview_rgb else _srgb(wavelength, base))
+        linear = np.clip((SRGB_FROM_XYZ @ (matching @ base / matching[1].sum())) / white, 0, 1)
+        preview.append(np.array(design.preview_rgb) if design.preview_rgb else encode_srgb(linear))
     constants = np.stack(constants)
     at_reference = constants[:, :, int(np.argmin(np.abs(wavelength - REFERENCE_WAVELENGTH_UM)))]
 
@@ -332,14 +336,6 @@ def _base(name: str, design: MaterialDesign, folder: Path | None, wavelength: Ar
             f"where it is darkest, got {design.polarized_base:g}"
         )
     return base
-
-
-def _srgb(wavelength: Float[Array, "wavelength"], reflectance: Float[Array, "wavelength"]) -> Array:
-    """Display colour of a reflectance under an equal-energy light, IEC 61966-2-1 primaries and gamma."""
-    matching = spectral.cie_xyz(wavelength)
-    xyz = matching @ reflectance / matching[1].sum()
-    white = SRGB_FROM_XYZ @ (matching.sum(axis=1) / matching[1].sum())  # the eye adapts to its light
-    return encode_srgb(np.clip((SRGB_FROM_XYZ @ xyz) / white, 0, 1))
 
 
 _CONE_RAD = math.radians(40)  # light meets the first layer within this cone (PROSPECT-5)

@@ -98,9 +98,14 @@ class Traffic:
         states = np.empty((self.angle.size, 5))
         offsets = np.concatenate([[0], np.cumsum(self.count)])
         reach = max(round(_VELOCITY_SPAN_S / self.step_s), 1)
+        smooth = round(_SMOOTHING_S / self.step_s)
+        kernel = np.hanning(2 * smooth + 3)[1:-1]  # a running mean, with repeated end values
         for k, length_m in enumerate(self.dimensions[:, 0]):
             span, n = slice(offsets[k], offsets[k + 1]), self.count[k]
-            heading = _smooth(np.unwrap(self.angle[span]), self.step_s)
+            heading = np.unwrap(self.angle[span])
+            if smooth and n > 1:
+                padded = np.pad(heading, smooth, mode="edge")
+                heading = np.convolve(padded, kernel / kernel.sum(), mode="valid")
             forward = np.stack([np.sin(heading), np.cos(heading)], axis=1)
             bumper = np.stack([self.bumper_east[span], self.bumper_north[span]], axis=1)
             centre = bumper - 0.5 * float(length_m) * forward
@@ -161,15 +166,6 @@ def warn_of_jam(traffic: Traffic, extent_m: tuple[float, float, float, float]) -
             "scores count only those (raise `scene.traffic_insertion_period_s`, or move `scene.centre_m`)",
             stacklevel=3,
         )
-
-
-def _smooth(values: Float[Array, "n"], step_s: float) -> Float[Array, "n"]:
-    """Hann-weighted running mean; the end values are repeated, not padded with zeros."""
-    reach = round(_SMOOTHING_S / step_s)
-    if reach < 1 or values.size < 2:
-        return values
-    kernel = np.hanning(2 * reach + 3)[1:-1]
-    return np.convolve(np.pad(values, reach, mode="edge"), kernel / kernel.sum(), mode="valid")
 
 
 FORMAT = 1

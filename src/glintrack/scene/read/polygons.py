@@ -84,24 +84,18 @@ def read_polygons(path: Path) -> Polygons:
     buildings: list[Footprint] = []
     grounds: list[tuple[str, BaseGeometry]] = []
     for element in root.iter("poly"):
-        kind = _kind(element.get("type", ""))
+        name = element.get("type", "")
+        kinds = (kind for kind, words in _GROUNDS if any(word in name for word in words))
+        kind = "building" if name.startswith("building") else next(kinds, None)
         points = shape_points(path, element.get("shape", ""))
         shape = shapely.make_valid(Polygon(points)) if len(points) > 3 else Polygon()
         parts = [p for p in polygons(shape) if p.area > _MIN_FOOTPRINT_M2]
         if kind == "building":
             buildings += [Footprint(part, _height(element)) for part in parts]
-        elif kind is not None:
+        elif kind is not None and not any(word in name for word in _NOT_GROUND):
             grounds += [(kind, part) for part in parts]
     whole, courtyards = _cut_courtyards(buildings, path.name)
     return Polygons(tuple(whole), tuple(grounds), courtyards)
-
-
-def _kind(name: str) -> str | None:
-    if name.startswith("building"):
-        return "building"
-    if any(word in name for word in _NOT_GROUND):
-        return None
-    return next((kind for kind, words in _GROUNDS if any(word in name for word in words)), None)
 
 
 def _height(element: Element) -> float | None:
