@@ -43,7 +43,7 @@ def test_video_writes_a_gif(monkeypatch, folder, tmp_path):
         ),
         (("report", "{}/result", "-o", "{}/no/x.html"), "`output` must be a file in an existing folder"),
         (("video", "{}/result", "-o", "{}/no/x.mp4"), "`output` must be a file in an existing folder"),
-        (("video", "{}/result", "-o", "{}/x.gif", "--pictures", "ir"), "`pictures` must be of"),
+        (("video", "{}/result", "-o", "{}/x.gif", "--pictures", "ir"), "`pictures` must be in the film"),
         (("view", "{}/result", "--host", "300.1.1.1"), "must be free to listen on"),
     ],
 )

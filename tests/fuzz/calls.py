@@ -46,7 +46,7 @@ def _write_study(path: Path) -> None:
     scratch = path.with_name(f"{path.name}-made-from")
     plan, folder = read_plan(write_study(scratch, TWELVE)), StudyFolder(path)
     with folder.open(plan), serial() as pool:
-        run_study(plan, folder, pool, scratch, fly=cheap)
+        run_study(plan, folder, pool, scratch, simulate=cheap)
         write_results(plan, folder)
 
 

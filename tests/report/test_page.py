@@ -13,8 +13,8 @@ import xarray as xr
 from glintrack import Case
 from glintrack.io.netcdf import write_tree
 from glintrack.report import build_page
-from glintrack.report.page import design_rows, flattened, in_code, script_json
-from glintrack.report.page_data import budget_bars, packed, page_data, plan
+from glintrack.report.page import design_rows, flatten, in_code, script_json
+from glintrack.report.page_data import budget_bars, encode, page_data, plan
 from glintrack.results.read import read_result
 from tests.report import made
 
@@ -35,8 +35,8 @@ def embedded(html, ident):
 
 
 def test_columns_keep_their_numbers():
-    assert unpack(packed(np.array([-3.4, 0, 40000]), "i2")).tolist() == [-3, 0, 32767]
-    np.testing.assert_array_equal(unpack(packed(np.array([0.5, np.nan]), "f4")), [0.5, np.nan])
+    assert unpack(encode(np.array([-3.4, 0, 40000]), "i2")).tolist() == [-3, 0, 32767]
+    np.testing.assert_array_equal(unpack(encode(np.array([0.5, np.nan]), "f4")), [0.5, np.nan])
 
 
 def test_the_page_holds_what_the_result_holds(folder):
@@ -176,7 +176,7 @@ def test_the_design_is_a_diff():
     mine, base = Case().replace({"seed": 3, "sensor.f_number": 8.0}), Case()
     changed = {key: (value, other) for key, value, other, differs in design_rows(mine, base) if differs}
     assert changed == {"seed": ("3", "0"), "sensor.f_number": ("8", "5.6")}
-    assert flattened({"a": {"b": [1.5, None]}, "c": ""}) == [("a.b", "1.5, –"), ("c", "–")]
+    assert flatten({"a": {"b": [1.5, None]}, "c": ""}) == [("a.b", "1.5, –"), ("c", "–")]
 
 
 def test_the_base_may_be_named(folder, tmp_path):

@@ -26,7 +26,7 @@ def folder(tmp_path):
     plan = replace(plan, design=plan.design.model_copy(update={"name": "<b>twelve</b>"}))
     (tmp_path / "cache").mkdir()
     with folder.open(plan), serial() as pool:
-        run_study(plan, folder, pool, tmp_path / "cache", fly=cheap)
+        run_study(plan, folder, pool, tmp_path / "cache", simulate=cheap)
         write_results(plan, folder)
     return folder.path
 
@@ -59,7 +59,7 @@ def test_every_finished_study_is_drawn(tmp_path, labels):
     folder = StudyFolder(tmp_path / "study")
     (tmp_path / "cache").mkdir()
     with folder.open(plan), serial() as pool:
-        run_study(plan, folder, pool, tmp_path / "cache", fly=cheap)
+        run_study(plan, folder, pool, tmp_path / "cache", simulate=cheap)
         write_results(plan, folder)
     html = build_study_page(folder.path, tmp_path)
     points = [p for p in embedded(html)["points"] if p["response"] == "completeness"]

@@ -88,15 +88,15 @@ def test_a_truncated_frame_is_traced_again(three_cars, tmp_path):
 
 
 def test_nothing_is_kept_where_no_one_else_needs_it(three_cars, tmp_path):
-    alone = HitsCache(tmp_path / "hits", geometry(case()), keeps=False)
+    alone = HitsCache(tmp_path / "hits", geometry(case()), keep=False)
     simulate(case(), hits_cache=alone)
     assert alone.traced == 4 and not (tmp_path / "hits").exists()
 
 
 def test_frames_of_some_times_are_kept(three_cars, tmp_path):
-    some = HitsCache(tmp_path, geometry(case()), keeps=(0.0, 1.0))
+    some = HitsCache(tmp_path, geometry(case()), keep=(0.0, 1.0))
     simulate(case(), hits_cache=some)
-    assert [some.holds(t) for t in frame_times(case().flight).tolist()] == [True, False, True, False]
+    assert [some.contains(t) for t in frame_times(case().flight).tolist()] == [True, False, True, False]
 
 
 def test_a_full_disk_costs_the_cache_not_the_case(three_cars, tmp_path, monkeypatch):
@@ -214,7 +214,7 @@ def test_two_studies_on_one_cache_at_once_give_what_one_without_gives(three_cars
     assert other.exitcode == 0 and report.finished == 2
     pd.testing.assert_frame_equal(table, expected)
     table, report = small_study(tmp_path / "a", cache)  # reads back what the other process has flown
-    assert (report.found, report.finished) == (2, 0)
+    assert (report.finished_before, report.finished) == (2, 0)
     pd.testing.assert_frame_equal(table, expected)
     late, report = small_study(tmp_path / "late", cache)
     assert (report.frames_read, report.frames_traced) == (12, 0)
@@ -235,15 +235,14 @@ def test_a_case_that_reads_its_hits_scores_what_one_that_traces_does(three_cars,
 
 def test_light_is_shaded_once_for_what_differs_behind_the_lens(three_cars, tmp_path):
     """Noise and depolarizer see the same light; another band does not."""
-    first = HitsCache(tmp_path, geometry(case()))
-    simulate(case(), hits_cache=first)
+    simulate(case(), hits_cache=HitsCache(tmp_path, geometry(case())))
     noisy = case().replace({"sensor.read_noise_e": 60.0, "sensor.optics.depolarizer": True})
     again = HitsCache(tmp_path, geometry(noisy))
     recalled = simulate(noisy, hits_cache=again)
-    assert (first.lit, again.traced, again.lit) == (4, 0, 0)
+    assert again.traced == 0 and len(list(tmp_path.rglob("*.light"))) == 4
     for mine, expected in zip(scores(recalled), scores(simulate(noisy)), strict=True):
         xr.testing.assert_identical(mine, expected)
     narrow = case().replace({"sensor.band_um": (0.5, 0.6)})
     other = HitsCache(tmp_path, geometry(narrow))
     simulate(narrow, hits_cache=other)
-    assert (other.read, other.lit) == (4, 4)
+    assert other.read == 4 and len(list(tmp_path.rglob("*.light"))) == 8

@@ -5,7 +5,7 @@ from glintrack.study.run import work_order
 
 def ordered(*groups):
     geometry_of = {f"{name}{k}": name for name, count in groups for k in range(count)}
-    return work_order(geometry_of, geometry_of)
+    return work_order(geometry_of)
 
 
 def test_every_case_comes_once():

@@ -20,10 +20,10 @@ from glintrack.study import (
     StudyPace,
     analyse,
     dask,
+    estimate_cpu_s,
     processes,
     read_plan,
     read_results,
-    rough_s,
     run_study,
     serial,
     source_key,
@@ -60,7 +60,7 @@ def test_twelve_cases_give_the_same_table_whoever_flies_them(tmp_path):
 def test_what_is_finished_is_not_flown_again(tmp_path):
     fly(tmp_path)
     report, table, _ = fly(tmp_path)
-    assert (report.found, report.finished, flown(tmp_path / "scratch-out")) == (12, 0, 12)
+    assert (report.finished_before, report.finished, flown(tmp_path / "scratch-out")) == (12, 0, 12)
     assert set(table["status"]) == {"finished"}
 
 
@@ -77,7 +77,7 @@ def test_the_first_replicates_are_reported_as_if_there_were_no_others_and_the_re
     for name, part in analyse(table, read_results(folder.path)[1]).items():
         pd.testing.assert_frame_equal(part, expected[name])
     report, table, _ = fly(tmp_path)
-    assert (report.found, report.finished) == (6, 6) and set(table["status"]) == {"finished"}
+    assert (report.finished_before, report.finished) == (6, 6) and set(table["status"]) == {"finished"}
 
 
 def test_listed_cases_have_their_labels_in_the_table(tmp_path):
@@ -180,7 +180,7 @@ def test_a_killed_driver_is_resumed_and_repeats_nothing(tmp_path):
     assert 3 <= whole < 8
     text = f"[axes]\nsensor.dsnu_e = [0, 1, 2, 3, 4, 5, 6, 7]\n[base]\nsensor.read_noise_e = {SLOW}\n"
     report, table, _ = fly(tmp_path, text)
-    assert (report.found, report.finished) == (whole, 8 - whole)
+    assert (report.finished_before, report.finished) == (whole, 8 - whole)
     assert set(table["status"]) == {"finished"}
     assert not list(cases.glob(".*"))
 
@@ -207,7 +207,7 @@ def check_full_disk(tmp_path, out):
     folder = StudyFolder(out)
     with folder.open(plan), serial() as pool, pytest.raises(ValueError, match="No space left") as caught:
         run_study(plan, folder, pool, tmp_path, bulky)
-    assert "finished cases are kept" in str(caught.value)
+    assert "finished cases are saved" in str(caught.value)
     done = [key for key in plan.cases if folder.outcome(key)]
     assert 1 <= len(done) < 12
     assert not list((out / "cases").glob(".*"))
@@ -294,7 +294,7 @@ def test_the_source_that_counts_is_what_decides_scores(tmp_path, monkeypatch):
 
 def test_a_cluster_that_grows_and_shrinks_is_counted_anew(tmp_path, monkeypatch):
     """Jobs of a queue come and go: with none the study waits, and says so."""
-    monkeypatch.setattr("glintrack.study.run._LOOK_S", 0.01)
+    monkeypatch.setattr("glintrack.study.run._POLL_S", 0.01)
     counts, told = iter([2, 0, 0, 1]), []
     plan, folder = read_plan(write_study(tmp_path, TWELVE)), StudyFolder(tmp_path / "out")
     with folder.open(plan), serial() as pool:
@@ -320,12 +320,12 @@ def test_the_time_left_follows_from_the_work_not_from_the_number_of_cases(tmp_pa
     text = "[axes]\nsensor.oversampling = [1, 3]\nsensor.dsnu_e = [0, 1]\n"
     plan = read_plan(write_study(tmp_path, text))
     pace = StudyPace(plan, StudyFolder(tmp_path / "out"), plan.cases)
-    one, nine, *_ = (rough_s(case) for case in plan.cases.values())
-    assert not pace.measured and pace.whole == pytest.approx(2 * one + nine)
+    one, nine, *_ = (estimate_cpu_s(case) for case in plan.cases.values())
+    assert not pace.is_measured and pace.whole == pytest.approx(2 * one + nine)
     small = next(key for key, case in plan.cases.items() if case.sensor.oversampling == 1)
-    pace.ended(small, 10.0)
-    assert pace.measured and pace.left_s(1) == pytest.approx(10 * (1 + nine / one))
-    assert pace.left_s(2) == pytest.approx(10 * nine / one)  # one case outlasts the rest
+    pace.add(small, 10.0)
+    assert pace.is_measured and pace.remaining_s(1) == pytest.approx(10 * (1 + nine / one))
+    assert pace.remaining_s(2) == pytest.approx(10 * nine / one)  # one case outlasts the rest
     assert pace.summary(2).startswith("1/3 cases, ")
 
 
@@ -333,11 +333,11 @@ def test_the_rough_time_of_a_case_is_honest_within_a_factor_of_two():
     """Processor time of whole flights on one machine: 22 frames of quickstart, and cases of a study."""
     base = Case.from_toml(find_case("quickstart")).replace({"flight.frames": 22})
     quick_s = 162.6
-    assert quick_s / 2 < rough_s(base) < 2 * quick_s
+    assert quick_s / 2 < estimate_cpu_s(base) < 2 * quick_s
     keys = {"flight.frames": 6, "sensor.oversampling": 1, "sensor.rows": 280, "sensor.columns": 440}
     traced_s, read_s = 24.1, 13.1
-    assert read_s / 2 < rough_s(base.replace(keys)) < 2 * read_s
-    assert traced_s / 2 < rough_s(base.replace(keys)) < 2 * traced_s
+    assert read_s / 2 < estimate_cpu_s(base.replace(keys)) < 2 * read_s
+    assert traced_s / 2 < estimate_cpu_s(base.replace(keys)) < 2 * traced_s
 
 
 def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
@@ -396,7 +396,7 @@ def test_a_cluster_that_is_killed_is_told_and_leaves_what_is_finished(tmp_path):
     whole = sum(folder.outcome(key) is not None for key in plan.cases)
     assert 1 <= whole < 8
     report, table, _ = fly(tmp_path, text)  # the study resumes without it
-    assert (report.found, report.finished) == (whole, 8 - whole)
+    assert (report.finished_before, report.finished) == (whole, 8 - whole)
     assert set(table["status"]) == {"finished"}
 
 

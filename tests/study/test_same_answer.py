@@ -6,7 +6,7 @@ import pytest
 
 from glintrack.case import build as scenario
 from glintrack.study import StudyFolder, dask, processes, read_plan, run_study, serial, write_results
-from glintrack.study.workers import fly_case
+from glintrack.study.workers import simulate_case
 from tests.conftest import ThreeCars, load_materials
 from tests.study.cases import write_study
 
@@ -26,7 +26,7 @@ pitch_um = 50.0
 def over_three_cars(case, task):
     """A real case, wherever the worker is."""
     scenario.build_scene = lambda design: ThreeCars(load_materials())
-    return fly_case(case, task)
+    return simulate_case(case, task)
 
 
 @pytest.mark.slow
@@ -51,5 +51,5 @@ def test_a_study_is_the_same_whoever_flies_it_from_whatever_hits_and_resumed(thr
     assert (cold.frames_traced, warm.frames_traced, warm.frames_read) == (3, 0, 6)
     shutil.rmtree(next(iter((tmp_path / "serial, cold" / "cases").iterdir())))
     resumed = fly("serial, cold", serial(), tmp_path / "hits")
-    assert (resumed.found, resumed.finished) == (1, 1)
+    assert (resumed.finished_before, resumed.finished) == (1, 1)
     assert len(set(tables.values())) == 1, [name for name in tables if tables[name] != tables["dask, cold"]]

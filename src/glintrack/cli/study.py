@@ -32,7 +32,7 @@ from glintrack.study import (
     StudyFolder,
     StudyPace,
     dask,
-    foresee,
+    forecast,
     processes,
     read_plan,
     read_results,
@@ -220,7 +220,7 @@ def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Pa
 
         def callback(event: StudyEvent) -> None:
             if event.kind in ("finished", "failed"):
-                pace.ended(event.case_key, event.seconds if event.kind == "finished" else None)
+                pace.add(event.case_key, event.seconds if event.kind == "finished" else None)
             progress.update(task, completed=pace.done, left=pace.summary(pool.slots))
             if event.kind != "finished":
                 why = event.error.strip().splitlines()[-1] if event.error else "its worker died"
@@ -263,7 +263,7 @@ def _tell_cost(console: Console, spent: Mapping[str, float]) -> None:
 def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, workers: int) -> None:
     """What a run would do, with time and disk as finished cases of the study or rough figures say."""
     todo = [key for key in plan.cases if folder.outcome(key) is None]
-    ahead, pace = foresee(plan, todo, kept), StudyPace(plan, folder, todo)
+    ahead, pace = forecast(plan, todo, kept), StudyPace(plan, folder, todo)
     told = Table(show_header=False)
     every = {point.replicate for point in plan.points}
     mine = {point.replicate for point in plan.points if point.case_key in plan.cases}
@@ -272,11 +272,11 @@ def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, work
     told.add_row("cases", f"{len(plan.cases)} ({designs}), {len(todo)} to fly")
     told.add_row(
         "frames",
-        f"{ahead.frames}, {ahead.frames - ahead.held - ahead.repeats} to be traced: {ahead.held} are kept "
-        f"already, {ahead.repeats} more will be by an earlier case",
+        f"{ahead.frames}, {ahead.frames - ahead.in_cache - ahead.repeats} to be traced: {ahead.in_cache} are "
+        f"in the cache, {ahead.repeats} are repeated",
     )
-    source = "as finished cases took" if pace.measured else "roughly: no case has finished yet"
-    told.add_row("time", f"{format_duration(pace.left_s(workers))} with {workers} workers, {source}")
+    source = "as finished cases took" if pace.is_measured else "roughly: no case has finished yet"
+    told.add_row("time", f"{format_duration(pace.remaining_s(workers))} with {workers} workers, {source}")
     told.add_row(
         "disk",
         f"{1e-6 * ahead.kept_bytes:.0f} MB of kept frames in {kept}, "

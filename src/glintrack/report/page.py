@@ -1,11 +1,10 @@
-"""The report page: one HTML file that opens from disk, with pictures, program and styles inside it.
+"""Report page: one HTML file with pictures, program and styles inside it.
 
-Nothing is loaded from anywhere else, and a content security policy in the page forbids it. Text from the
-result reaches the page escaped: jinja2 escapes what it places, the page's program sets text and never HTML.
+A content security policy forbids to load anything else. All text from the result is escaped by jinja2, or
+set as text by the page's program.
 """
 
 import base64
-import functools
 import json
 import math
 from collections.abc import Mapping
@@ -18,7 +17,7 @@ from markupsafe import Markup, escape
 from glintrack.bounds import STAGE_LABELS
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case, find_packaged_case
-from glintrack.report.page_data import budget_bars, facts, page_data, plan, sun_azimuth_deg
+from glintrack.report.page_data import budget_bars, page_data, plan
 from glintrack.results.read import Result, film_file, picture_file, picture_url, score_rows, score_text
 from glintrack.results.verdict import (
     CHANNEL_WORDS,
@@ -26,13 +25,15 @@ from glintrack.results.verdict import (
     describe_other_channels,
     select_channel,
     stage_shares,
+    sun_angles_deg,
+    view_facts,
 )
 
 _PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {
     "sky": "Radiance, degree and angle of polarization of the sky, looking up: north is up, east on the left",
     "light": "Sun, sky and path against wavelength",
-    "elements": "What the sensor's elements make of light: lens, filter, quantum efficiency and polarizers",
+    "elements": "Response of the sensor's elements: lens, filter, quantum efficiency and polarizers",
     "etalon": "The mirrors as tunable etalons: transmittance over the sweep of their gap",
     "polarizer": "The wire-grid polarizers on the sensor, the paper's Figures 6 to 9",
     "view_rgb": "Natural colour as the aircraft sees it",
@@ -41,12 +42,12 @@ _FIGURES = {
 _FIGURE_SIDE = 1100  # longest side of a figure on the page [pixel]
 _PLAN_SIDE = 640  # of the picture on the first screen [pixel]
 _DASH = "–"
-DEFAULTS = "the defaults"  # what a case of no packaged name is held against
-_MOST_CHANGES = 6  # told on the first screen
+DEFAULTS = "the defaults"  # compared with cases of other names
+_MAX_CHANGES = 6  # on the first screen
 
 
 def build_page(result: Result, base: str | None = None, inline: bool = True) -> str:
-    """The report of a run as HTML.
+    """Build the report of a run as HTML.
 
     Parameters
     ----------
@@ -56,7 +57,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         Case to compare the design with: a file, or a packaged case by name. By default the packaged case of
         the same name if there is one, else the defaults.
     inline
-        Put the pictures into the page. Without, they are asked for by name below ``film/`` and ``pictures/``.
+        Whether pictures are in the page; else they are loaded from ``film/`` and ``pictures/``.
 
     Raises
     ------
@@ -68,22 +69,24 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
     name, other = _base_case(result.case, base)
     rows = design_rows(result.case, other) if result.case else []
     caption, bars = budget_bars(result)
-    azimuth_deg = sun_azimuth_deg(result)
+    azimuth_deg = None if result.case is None else sun_angles_deg(result.case)[1]
+    facts = {"case": result.name} | (view_facts(result.case) if result.case is not None else {})
+    accuracy = {} if result.tree is None else accuracy_lines(result.tree)
     return render_page(
         "report.html.j2",
         scripts=("theme.js", "core.js", "plots.js", "charts.js", "film.js", "track.js", "report.js"),
         title=data["name"],
         verdict=result.verdict,
         other_channels=describe_other_channels(result.scores),
-        reservations=[in_code(said) for said in result.reservations],
-        facts=facts(result) | _changes(rows, name),
+        reservations=[in_code(text) for text in result.reservations],
+        facts=facts | _changes(rows, name),
         bars=bars,
         bars_caption=caption,
         plan=plan(data["extent_m"], azimuth_deg, _plan_picture(result, inline)) if data["times_s"] else None,
         notes=result.notes,
         data=script_json(
             data
-            | {"film": _film(result), "sun_azimuth_deg": azimuth_deg, "speaks": select_channel(result.scores)}
+            | {"film": result.film, "sun_azimuth_deg": azimuth_deg, "speaks": select_channel(result.scores)}
         ),
         pictures=script_json(_film_pictures(result) if inline else {}),
         policy_pictures="data:" if inline else "'self' data:",
@@ -92,10 +95,12 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         score_columns=[CHANNEL_WORDS.get(name, name) for name in data["channels"]],
         loss_budget=budget_rows(budgets),
         budget_columns=[CHANNEL_WORDS.get(name, name) for name in budgets],
-        accuracy=[]
-        if result.tree is None
-        else [(CHANNEL_WORDS.get(g, g), line) for g, line in accuracy_lines(result.tree).items()],
-        roc_rows=_roc_rows(data),
+        accuracy=[(CHANNEL_WORDS.get(g, g), line) for g, line in accuracy.items()],
+        roc_rows=[
+            [name, *(f"{row[0]:g}", *map(score_text, row[1:]))]
+            for name, part in data["channels"].items()
+            for row in (part["roc"] or {"table": []})["table"]
+        ],
         roc_key=next((part["roc"]["key"] for part in data["channels"].values() if part["roc"]), ""),
         has_tracks=any(part["counts"]["tracks"] for part in data["channels"].values()),
         has_quality=any(part["quality"] for part in data["channels"].values()),
@@ -104,37 +109,24 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         same=[row for row in rows if not row.differs],
         figures=_figures(result, inline),
         case_text=result.case_text,
-        provenance=[row for row in flattened(result.provenance)],
+        provenance=flatten(result.provenance),
     )
 
 
 def render_page(template: str, scripts: tuple[str, ...], **values: object) -> str:
-    """Fill a template of ``data/page`` with values and the page's own styles and programs."""
-    return (
-        _environment()
-        .get_template(template)
-        .render(
-            styles=Markup(_part("uPlot.min.css") + _part("page.css")),
-            programs=[Markup(_part(name)) for name in ("uPlot.iife.min.js", *scripts)],
-            **values,
-        )
+    """Fill a template of ``data/page`` with values and the page's styles and programs."""
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-
-
-@functools.lru_cache(maxsize=1)
-def _environment() -> jinja2.Environment:
-    """Keeps the templates that it has compiled."""
-    return jinja2.Environment(
-        loader=jinja2.FunctionLoader(lambda name: _part(name)),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    return environment.from_string(_part(template)).render(
+        styles=Markup(_part("uPlot.min.css") + _part("page.css")),
+        programs=[Markup(_part(name)) for name in ("uPlot.iife.min.js", *scripts)],
+        **values,
     )
 
 
 def script_json(value: object) -> Markup:
-    """JSON that cannot end the script element it stands in."""
+    """JSON for a script element, which it cannot end."""
     text = json.dumps(value, allow_nan=False, separators=(",", ":"))
     for mark in "<>&\u2028\u2029":
         text = text.replace(mark, f"\\u{ord(mark):04x}")
@@ -142,7 +134,7 @@ def script_json(value: object) -> Markup:
 
 
 def in_code(text: str) -> Markup:
-    """A sentence for the page: what stands between backticks as code, all else escaped."""
+    """Text for the page, with code between backticks, escaped."""
     parts = text.split("`")
     if len(parts) % 2 == 0:  # an odd backtick marks nothing
         return escape(text)
@@ -152,7 +144,7 @@ def in_code(text: str) -> Markup:
 
 
 class KeyRow(NamedTuple):
-    """A key of a case with its value, the base's value, and whether they differ."""
+    """Key of a case with its value, the base's value, and whether they differ."""
 
     key: str
     value: str
@@ -161,27 +153,26 @@ class KeyRow(NamedTuple):
 
 
 def design_rows(case: Case, base: Case) -> list[KeyRow]:
-    """Every key of a case, compared with a base."""
-    mine, theirs = (dict(flattened(c.model_dump(mode="json"))) for c in (case, base))
-    keys = [*mine, *(key for key in theirs if key not in mine)]
+    """Every key of a case with its value and that of a base."""
+    mine, theirs = (dict(flatten(c.model_dump(mode="json"))) for c in (case, base))
     return [
         KeyRow(key, mine.get(key, _DASH), theirs.get(key, _DASH), mine.get(key) != theirs.get(key))
-        for key in keys
+        for key in mine | theirs
     ]
 
 
 def _changes(rows: list[KeyRow], base_name: str) -> dict[str, str]:
-    """What differs from the base for the first screen, a few keys; nothing beside bare defaults."""
+    """Differences from the base for the first screen; none from the defaults."""
     changes = [f"{row.key} = {row.value}" for row in rows if row.differs and row.key != "name"]
     if not changes or base_name == DEFAULTS:
         return {}
-    if len(changes) > _MOST_CHANGES:
-        changes[_MOST_CHANGES:] = [f"{len(changes) - _MOST_CHANGES} more"]
+    if len(changes) > _MAX_CHANGES:
+        changes[_MAX_CHANGES:] = [f"{len(changes) - _MAX_CHANGES} more"]
     return {f"changed from {base_name}": ", ".join(changes)}
 
 
 def budget_rows(budgets: Mapping[str, Mapping[str, float]]) -> list[tuple[str, list[str]]]:
-    """Each stage that was measured, and the share of all movers it holds of each group of elements."""
+    """Label of each stage, and the share of all movers there for each group of elements."""
     stages = dict.fromkeys(stage for one in budgets.values() for stage in one)
     return [
         (STAGE_LABELS.get(stage, stage), [score_text(one.get(stage, math.nan)) for one in budgets.values()])
@@ -189,12 +180,12 @@ def budget_rows(budgets: Mapping[str, Mapping[str, float]]) -> list[tuple[str, l
     ]
 
 
-def flattened(values: dict, prefix: str = "") -> list[tuple[str, str]]:
+def flatten(values: dict, prefix: str = "") -> list[tuple[str, str]]:
     """Nested tables as rows of dotted key and text."""
     rows: list[tuple[str, str]] = []
     for key, value in values.items():
         if isinstance(value, dict):
-            rows += flattened(value, f"{prefix}{key}.")
+            rows += flatten(value, f"{prefix}{key}.")
         else:
             rows.append((f"{prefix}{key}", _text(value)))
     return rows
@@ -222,15 +213,8 @@ def _part(name: str) -> str:
     return (_PARTS / name).read_text(encoding="utf-8")
 
 
-def _film(result: Result) -> dict:
-    """What the program needs to know of the film."""
-    film = result.film
-    names = ("kinds", "frames", "times_s", "pan_range", "dolp_highest", "aop_least_dolp", "channel")
-    return {key: film[key] for key in names if key in film}
-
-
 def _film_pictures(result: Result) -> dict[str, list[str]]:
-    """Base64 of each kind's pictures in the order of frames; an empty word for one that is missing."""
+    """Base64 of each kind's pictures in the order of frames; an empty text if missing."""
     film, out = result.film, {}
     for kind in film.get("kinds", []):
         paths = [film_file(result.path, kind, frame) for frame in film["frames"]]
@@ -239,30 +223,27 @@ def _film_pictures(result: Result) -> dict[str, list[str]]:
 
 
 def _plan_picture(result: Result, inline: bool) -> str:
-    """Address of the film's first kind, three quarters through; empty where it is missing."""
-    frames, kinds = result.film.get("frames") or [], result.film.get("kinds") or []
-    if not frames or not kinds:
-        return ""
-    path = film_file(result.path, kinds[0], frames[3 * (len(frames) - 1) // 4])
+    """Address of the film's first kind, three quarters through; empty if it is missing."""
+    frames, kinds, path = result.film.get("frames"), result.film.get("kinds"), None
+    if frames and kinds:
+        path = film_file(result.path, kinds[0], frames[3 * (len(frames) - 1) // 4])
     if path is None:
         return ""
     return picture_url(path, _PLAN_SIDE) if inline else f"film/{path.name}"
 
 
 def _figures(result: Result, inline: bool) -> list[tuple[str, str, str]]:
-    """Name, source and what it shows of each figure that is there."""
-    found = []
-    for name, caption in _FIGURES.items():
-        path = picture_file(result.path, name)
-        if path is not None:
-            found.append(
-                (name, picture_url(path, _FIGURE_SIDE) if inline else f"pictures/{name}.png", caption)
-            )
-    return found
+    """Name, source and caption of each figure of the result."""
+    found = {name: picture_file(result.path, name) for name in _FIGURES}
+    return [
+        (name, picture_url(path, _FIGURE_SIDE) if inline else f"pictures/{name}.png", _FIGURES[name])
+        for name, path in found.items()
+        if path is not None
+    ]
 
 
 def _counts(result: Result, data: dict) -> list[tuple[str, str, int]]:
-    """Id, label and number of what the result holds."""
+    """Id, label and number of frames, vehicles, tracks and queries."""
     rows = [("frames", "frames", len(data["times_s"]))]
     if data["truth"]:
         rows.append(("vehicles", "vehicles inside", data["truth"]["vehicles"]))
@@ -272,13 +253,3 @@ def _counts(result: Result, data: dict) -> list[tuple[str, str, int]]:
     if result.film:
         rows.append(("film", "film frames", len(result.film["frames"])))
     return rows
-
-
-def _roc_rows(data: dict) -> list[list[str]]:
-    """Channel, threshold and scores of each point of the ROC."""
-    return [
-        [name, f"{threshold:g}", *(score_text(v) for v in (completeness, false, purity))]
-        for name, part in data["channels"].items()
-        if part["roc"]
-        for threshold, completeness, false, purity in part["roc"]["table"]
-    ]

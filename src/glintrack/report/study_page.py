@@ -15,7 +15,7 @@ from urllib.parse import quote
 import numpy as np
 import pandas as pd
 
-from glintrack.report.page import flattened, in_code, render_page, script_json
+from glintrack.report.page import flatten, in_code, render_page, script_json
 from glintrack.study import analyse, read_results
 from glintrack.study.report import view_notes
 from glintrack.study.text_tables import (
@@ -86,7 +86,7 @@ def build_study_page(folder: str | Path, page_folder: str | Path) -> str:
         columns=[NAMES.get(c, c) for c in columns],
         link_column=columns.index("case"),
         rows=cells,
-        provenance=flattened(dict(source)),
+        provenance=flatten(dict(source)),
         data=script_json(
             {
                 "columns": columns,

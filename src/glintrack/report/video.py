@@ -1,4 +1,4 @@
-"""The film of a flight with its tracks drawn in, as MP4 or GIF."""
+"""Video of a flight's film with its tracks, as MP4 or GIF."""
 
 import errno
 import subprocess
@@ -23,14 +23,14 @@ from glintrack.results.read import Result, film_file
 TITLES = {"rgb": "natural colour", "pan": "pan", "dolp": "DoLP", "aop": "AoP"}
 _TAIL_S = 8.0
 _RADIUS_PX = 5
-_WIDE_PX = 480  # a picture so wide has lines of one pixel
+_WIDE_PX = 480  # width of a picture with lines of one pixel
 _GIF_COLOURS = 128
-_MOST_PIXELS = 50e6
+_MAX_PIXELS = 50e6
 
 
 @dataclass(frozen=True)
 class Composite:
-    """Frames of a video: pictures side by side, two a row, with tracks and moving vehicles.
+    """Frames of a video: pictures side by side, two per row, with tracks and moving vehicles.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Composite:
     kinds
         Pictures in order.
     channel
-        Whose tracks.
+        Channel of the tracks.
     size
         Width and height of one picture. [pixel]
     tracks, truth
@@ -57,33 +57,30 @@ class Composite:
     def of(
         cls, result: Result, kinds: tuple[str, ...] = (), channel: str | None = None, width: int = 1280
     ) -> "Composite":
-        """Frames of a result's film, ``width`` pixels wide together; all of its pictures by default.
+        """Frames of a result's film with a total width of ``width`` pixels; all pictures by default.
 
         Raises
         ------
         ValueError
-            If there is no film, or a picture or channel is not there.
+            If there is no film, or it lacks a picture or the channel.
         """
         film = result.film
         if not film.get("frames"):
             why = [note for note in result.notes if "film" in note]
             raise ValueError(f"`result` must have a film, got {result.path}: {' '.join(why)}")
-        held = tuple(kind for kind in KINDS if kind in film["kinds"])
-        missing = [kind for kind in kinds if kind not in held]
-        if missing:
-            raise ValueError(
-                f"`pictures` must be of those that the film has, {', '.join(held)}, got {missing[0]!r}"
-            )
-        kinds = kinds or held
-        there = result.channels
-        if channel is not None and channel not in there:
-            raise ValueError(f"`channel` must be one of {', '.join(there) or 'none'}, got {channel!r}")
-        chosen = channel or (there[0] if there else "")
+        present = tuple(kind for kind in KINDS if kind in film["kinds"])
+        if missing := [kind for kind in kinds if kind not in present]:
+            raise ValueError(f"`pictures` must be in the film ({', '.join(present)}), got {missing[0]!r}")
+        kinds, names = kinds or present, result.channels
+        if channel is not None and channel not in names:
+            raise ValueError(f"`channel` must be one of {', '.join(names) or 'none'}, got {channel!r}")
+        chosen = channel or (names[0] if names else "")
         west, south, east, north = film["extent_m"]
-        one = _even(width // min(2, len(kinds)))
-        size = (one, _even(one * (north - south) / (east - west)))
+        one = width // min(2, len(kinds))
+        # H.264 needs even sides
+        size = tuple(max(2, 2 * round(side / 2)) for side in (one, one * (north - south) / (east - west)))
         rows = _rows(result, f"{chosen}/tracks") if chosen else xr.Dataset()
-        return cls(result, kinds, chosen, size, rows, _rows(result, "truth"))
+        return cls(result, kinds, chosen, (size[0], size[1]), rows, _rows(result, "truth"))
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -91,12 +88,12 @@ class Composite:
 
     @property
     def rate_hz(self) -> float:
-        """Frames a second of the flight's own time. [Hz]"""
+        """Frames per second of the flight. [Hz]"""
         times = self.result.film["times_s"]
         return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 1.0
 
     def draw(self, index: int) -> UInt8[Array, "y x 3"]:
-        """One frame of the video."""
+        """Draw one frame of the video."""
         film, (width, height) = self.result.film, self.size
         columns = min(2, len(self.kinds))
         rows = -(-len(self.kinds) // columns)
@@ -106,14 +103,17 @@ class Composite:
             picture = Image.new("RGB", self.size)
             if path is not None:
                 with Image.open(path) as stored:
-                    if stored.width * stored.height > _MOST_PIXELS:
+                    if stored.width * stored.height > _MAX_PIXELS:
                         raise ValueError(
-                            f"`film` must have pictures of at most {_MOST_PIXELS:g} pixels, got {path} with "
+                            f"`film` must have pictures of at most {_MAX_PIXELS:g} pixels, got {path} with "
                             f"{stored.width} × {stored.height}"
                         )
                     picture = stored.convert("RGB").resize(self.size, Image.Resampling.BICUBIC)
-            self._overlay(ImageDraw.Draw(picture), film["times_s"][index])
-            _label(ImageDraw.Draw(picture), f"{TITLES[kind]}  {film['times_s'][index]:.1f} s")
+            pen, time_s = ImageDraw.Draw(picture), film["times_s"][index]
+            self._overlay(pen, time_s)
+            text, font = f"{TITLES[kind]}  {time_s:.1f} s", ImageFont.load_default(size=14)
+            pen.rectangle(pen.textbbox((6, 4), text, font=font), fill=(0, 0, 0))
+            pen.text((6, 4), text, (255, 255, 255), font=font)
             canvas.paste(picture, ((k % columns) * width, (k // columns) * height))
         return np.asarray(canvas)
 
@@ -138,7 +138,7 @@ class Composite:
             _mark(pen, kinds[k], places[k].tolist(), colour, thick)
 
     def _pixels(self, rows: xr.Dataset) -> Array:
-        """Columns and rows of a picture at which rows of a table lie."""
+        """Columns and rows of the positions of a table in a picture."""
         west, south, east, north = self.result.film["extent_m"]
         x = (rows["east"].values - west) / (east - west) * self.size[0]
         y = (north - rows["north"].values) / (north - south) * self.size[1]
@@ -146,7 +146,7 @@ class Composite:
 
 
 def write_video(path: str | Path, frames: Iterable[UInt8[Array, "y x 3"]], rate_hz: float) -> None:
-    """Write pictures of one size as MP4 (H.264) or, by the ending, as GIF; whole or not at all.
+    """Write pictures of one size as MP4 (H.264) or GIF, by the ending; complete or not at all.
 
     Raises
     ------
@@ -192,14 +192,8 @@ def _write_mp4(path: Path, frames: Iterable[Array], rate_hz: float) -> None:
         raise OSError(errno.ENOSPC, "the video cannot be written whole (is the disk full?)", str(path))
 
 
-def _label(pen: ImageDraw.ImageDraw, text: str) -> None:
-    font = ImageFont.load_default(size=14)
-    pen.rectangle(pen.textbbox((6, 4), text, font=font), fill=(0, 0, 0))
-    pen.text((6, 4), text, (255, 255, 255), font=font)
-
-
 def _mark(pen: ImageDraw.ImageDraw, kind: str, place: tuple[float, float], colour: str, thick: int) -> None:
-    """The shapes of the report page: circle, diamond for coasting, triangle for false."""
+    """Draw the shapes of the report page: circle, diamond for coasting, triangle for false."""
     (x, y), r = place, _RADIUS_PX
     corners = {"coast": [(0, -r), (r, 0), (0, r), (-r, 0)], "false": [(0, -r), (r, 0.8 * r), (-r, 0.8 * r)]}
     if kind in corners:
@@ -215,8 +209,3 @@ def _rows(result: Result, path: str) -> xr.Dataset:
     except KeyError:
         node = None
     return node.to_dataset(inherit=False) if isinstance(node, xr.DataTree) else xr.Dataset()
-
-
-def _even(pixels: float) -> int:
-    """H.264 wants even sides."""
-    return max(2, 2 * round(pixels / 2))

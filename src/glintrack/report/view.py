@@ -1,8 +1,7 @@
-"""The report page from a server on this machine: frames are sent when they are looked at.
+"""Server of the report page on this machine, which sends frames on request.
 
-Only names of a fixed pattern below two folders are ever opened, so no request reaches another file; nothing
-is written and nothing from the result is run. Requests under another host name are refused, so that a page of
-somebody else's cannot read the result by pointing a name of its own here.
+Only names of a fixed pattern in two folders are opened, so that no request reaches another file. Requests
+under another host name are refused, against DNS rebinding by other pages.
 """
 
 import ipaddress
@@ -19,7 +18,7 @@ _TYPES = {"webp": "image/webp", "png": "image/png"}
 
 
 class ResultServer(ThreadingHTTPServer):
-    """Serves one result; ``serve_forever`` runs it.
+    """Server of one result; ``serve_forever`` runs it.
 
     Parameters
     ----------
@@ -36,25 +35,25 @@ class ResultServer(ThreadingHTTPServer):
         super().__init__(address, _Handler)
 
     def handle_error(self, request, client_address) -> None:
-        """Say nothing of a connection that broke off."""
+        """Ignore a lost connection."""
 
     @property
     def on_loopback(self) -> bool:
-        """Whether only this machine can reach it."""
+        """Return True if only this machine can reach it."""
         return ipaddress.ip_address(str(self.server_address[0])).is_loopback
 
 
 def serve_result(
     result: Result, host: str = "127.0.0.1", port: int = 0, base: str | None = None
 ) -> ResultServer:
-    """A server of a result's page, listening but not yet running.
+    """Server of a result's page, listening but not yet running.
 
     Parameters
     ----------
     result
         From `read_result`.
     host, port
-        Where to listen; loopback by default, port 0 for any that is free.
+        Address; loopback by default, port 0 for a free one.
     base
         See `build_page`.
 
@@ -79,15 +78,15 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 30.0  # without anything read or taken [s]
 
     def do_GET(self) -> None:
-        """Answer with the page, a picture or 404."""
+        """Send the page, a picture or 404."""
         self._answer(with_body=True)
 
     def do_HEAD(self) -> None:
-        """The same without what is in it."""
+        """Send the header only."""
         self._answer(with_body=False)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: a film is a thousand requests."""
+        """Log nothing: a film is a thousand requests."""
 
     def _answer(self, with_body: bool) -> None:
         if self.server.on_loopback and not self._names_this_machine():
@@ -109,7 +108,7 @@ class _Handler(BaseHTTPRequestHandler):
             return False
 
     def _picture(self) -> bytes | None:
-        """What the path asks for, if it is a picture's name and a plain file inside the result."""
+        """Picture of the path, if it is a plain file inside the result; None if not."""
         match = _FILE.fullmatch(self.path)
         if match is None:
             return None

@@ -9,11 +9,11 @@ from glintrack.study.run import (
     RunReport,
     StudyEvent,
     StudyPace,
-    foresee,
-    rough_s,
+    estimate_cpu_s,
+    forecast,
     run_study,
 )
-from glintrack.study.workers import Pool, Task, attempt, dask, fly_case, processes, serial
+from glintrack.study.workers import Pool, Task, attempt, dask, processes, serial, simulate_case
 
 __all__ = [
     "HitsCache",
@@ -31,15 +31,15 @@ __all__ = [
     "build_plan",
     "collect_table",
     "dask",
-    "fly_case",
-    "foresee",
+    "estimate_cpu_s",
+    "forecast",
     "processes",
     "read_plan",
     "read_results",
     "read_study",
-    "rough_s",
     "run_study",
     "serial",
+    "simulate_case",
     "source_key",
     "write_report",
     "write_results",

@@ -1,4 +1,4 @@
-"""Run what of a study is not finished yet, on any executor, and estimate its cost."""
+"""Run the unfinished cases of a study on any executor, and estimate time and disk space."""
 
 import errno
 import time
@@ -12,30 +12,29 @@ from pathlib import Path
 from glintrack.case.design import Case
 from glintrack.core.units import format_duration
 from glintrack.study.folder import StudyFolder
-from glintrack.study.hits import HitsCache, frame_times, geometry, packed_bytes
+from glintrack.study.hits import HitsCache, entry_size_bytes, frame_times, geometry
 from glintrack.study.plan import Plan, source_key
-from glintrack.study.workers import Fly, Pool, Task, attempt, fly_case, is_worker_loss
+from glintrack.study.workers import Pool, Simulate, Task, attempt, is_worker_loss, simulate_case
 
-_LOOK_S = 1.0  # how often an interrupt is looked for while nothing ends
-_WORKER_LOST = "The worker that flew the case was lost: killed, out of memory, or crashed."
-# processor time on one core, of flights of quickstart with 3 × 3 rays and of an eighth of its rays: imports,
-# city, sky; an element of a frame with three channels; each of its rays; a frame of the loss budget over a
-# plain one
-ROUGH_BUILD_S, ROUGH_SECONDS_AN_ELEMENT, ROUGH_SECONDS_A_RAY, ROUGH_BUDGET = 9.0, 3e-6, 0.7e-6, 2.3
-ROUGH_BYTES_A_FRAME = 20e3  # of a result, for each channel of the quickstart
+_POLL_S = 1.0  # interval at which interrupts and workers are checked
+_WORKER_LOST = "The worker of the case was lost: killed, out of memory, or crashed."
+# processor time on one core, from flights of quickstart: imports, city and sky; an element of a frame with
+# three channels; each of its rays; a frame of the loss budget over a plain one
+BUILD_S, SECONDS_PER_ELEMENT, SECONDS_PER_RAY, BUDGET_FACTOR = 9.0, 3e-6, 0.7e-6, 2.3
+BYTES_PER_FRAME = 20e3  # of a result, for each channel of the quickstart
 
 
 @dataclass(frozen=True)
 class StudyEvent:
-    """What just happened, for whoever watches.
+    """Event of a run, for progress bars.
 
     Parameters
     ----------
     kind
-        ``finished``, ``failed`` (for good), ``retried``, ``lost`` (a worker, the case is tried again) or
-        ``waiting`` (for workers, of which the cluster has none at the time).
+        ``finished``, ``failed`` (for good), ``retried``, ``lost`` (a worker; the case is tried again) or
+        ``waiting`` (the cluster has no workers).
     case_key, seconds, error
-        Of the case.
+        The case, its duration, and its traceback. [s]
     """
 
     kind: str
@@ -46,21 +45,21 @@ class StudyEvent:
 
 @dataclass
 class RunReport:
-    """How a run went.
+    """Summary of a run.
 
     Parameters
     ----------
-    found
-        Cases that were finished before.
+    finished_before
+        Number of cases that were finished before.
     finished, failed
         Cases of this run.
     frames_read, frames_traced, bytes_kept
-        What the cache saved and holds.
+        Use of the cache.
     interrupted
         Whether the user stopped it.
     """
 
-    found: int = 0
+    finished_before: int = 0
     finished: int = 0
     failed: list[str] = field(default_factory=list)
     frames_read: int = 0
@@ -74,97 +73,93 @@ def run_study(
     folder: StudyFolder,
     pool: Pool,
     cache: Path | None = None,
-    fly: Fly = fly_case,
+    simulate: Simulate = simulate_case,
     callback: Callable[[StudyEvent], None] | None = None,
 ) -> RunReport:
-    """Fly every case that is not finished; call it again to resume.
+    """Simulate every case that is not finished; call it again to resume.
 
     Parameters
     ----------
     plan, folder
-        What to fly, and the folder, opened.
+        The study, and its folder, opened.
     pool
-        Where; from `workers`.
+        Executor, from `workers`.
     cache
-        Folder of kept hits; none are kept without one.
-    fly
-        What a case is: a module's own function, so that workers can import it.
+        Folder of the hits cache; none is used without one.
+    simulate
+        Function of a case: at the top level of a module, so that workers can import it.
     callback
         Called after each event.
 
     Raises
     ------
     ValueError
-        If results cannot be written any more (a full disk), or the cluster is gone; what is finished stays.
+        If results cannot be written (a full disk), or the cluster is gone; finished cases stay.
     """
-    report, pending = RunReport(), []
+    pending = [key for key in plan.cases if folder.outcome(key) is None]
     for key in plan.cases:
-        if folder.outcome(key) is None:
-            pending.append(key)
-        else:
-            report.found += 1
         folder.remove_failure(key)
     run = _Run(
         plan=plan,
         folder=folder,
         pool=pool,
         cache=cache,
-        fly=fly,
+        simulate=simulate,
         callback=callback or (lambda event: None),
-        report=report,
         pending=pending,
+        geometry_of={key: geometry(plan.cases[key]) if cache else key for key in pending},
+        report=RunReport(finished_before=len(plan.cases) - len(pending)),
     )
     return run.drive()
 
 
-def work_order(keys: Iterable[str], geometry_of: Mapping[str, str]) -> list[str]:
+def work_order(geometry_of: Mapping[str, str]) -> list[str]:
     """Order cases so that few rays are traced twice: one case of each geometry first, then the others.
 
     Parameters
     ----------
-    keys
-        Cases to do.
     geometry_of
-        What each case's hits are addressed by; widely shared geometries come before others.
+        Address of each case's hits; geometries of many cases come first.
     """
     groups: dict[str, list[str]] = {}
-    for key in keys:
-        groups.setdefault(geometry_of[key], []).append(key)
+    for key, place in geometry_of.items():
+        groups.setdefault(place, []).append(key)
     widest = sorted(groups.values(), key=len, reverse=True)
     return [*(group[0] for group in widest), *(key for group in widest for key in group[1:])]
 
 
 @dataclass
 class _Run:
-    """State of one run: what is pending, what flies, who is suspected of killing workers."""
+    """State of a run: waiting and running cases, and suspects of a worker's loss."""
 
     plan: Plan
     folder: StudyFolder
     pool: Pool
     cache: Path | None
-    fly: Fly
+    simulate: Simulate
     callback: Callable[[StudyEvent], None]
-    report: RunReport
     pending: list[str]
-    geometry_of: Mapping[str, str] = field(init=False)
+    geometry_of: Mapping[str, str]
+    report: RunReport
     work: deque[str] = field(init=False)
-    flying: dict[Future, str] = field(default_factory=dict)
+    running: dict[Future, str] = field(default_factory=dict)
     attempts: Counter = field(default_factory=Counter)
     suspects: list[str] = field(default_factory=list)
     alone: bool = False
-    asked: dict[str, Counter[float]] = field(default_factory=dict)
+    uses: dict[str, Counter[float]] = field(default_factory=dict)
 
     def drive(self) -> RunReport:
-        cases = self.plan.cases
-        self.geometry_of = {key: geometry(case) if self.cache else key for key, case in cases.items()}
-        self.work = deque(work_order(self.pending, self.geometry_of))
+        self.work = deque(work_order(self.geometry_of))
         try:
-            while self.work or self.suspects or self.flying:
-                self._recount()
+            while self.work or self.suspects or self.running:
+                before = self.pool.slots
+                self.pool.recount()
+                if before and not self.pool.slots:
+                    self.callback(StudyEvent("waiting", "", error="the cluster has no workers"))
                 self._submit()
-                if not self.flying:
-                    time.sleep(_LOOK_S)  # nobody works: a cluster without workers
-                done, _ = wait(self.flying, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+                if not self.running:
+                    time.sleep(_POLL_S)  # a cluster without workers
+                done, _ = wait(self.running, timeout=_POLL_S, return_when=FIRST_COMPLETED)
                 lost = [future for future in done if not self._take(future)]
                 if not self.pool.is_up():
                     self._renew()
@@ -172,70 +167,54 @@ class _Run:
                     self._recover(lost)
         except KeyboardInterrupt:
             self.report.interrupted = self.pool.abandoned = True
-            for future in self.flying:
+            for future in self.running:
                 future.cancel()
         return self.report
 
-    def _recount(self) -> None:
-        before = self.pool.slots
-        self.pool.recount()
-        if before and not self.pool.slots:
-            self.callback(StudyEvent("waiting", "", error="the cluster has no workers"))
-
     def _submit(self) -> None:
-        # a worker died and took its neighbours along: until it is known by which case, one flies at a time
-        self.alone = bool(self.suspects) or (self.alone and bool(self.flying))
-        while (self.work or self.suspects) and len(self.flying) < self._room():
+        # a lost worker stops all others of its pool: run one case at a time until its case is known
+        self.alone = bool(self.suspects) or (self.alone and bool(self.running))
+        slots = min(self.pool.slots, 1) if self.alone else self.pool.slots
+        while (self.work or self.suspects) and len(self.running) < slots:
             key = self.suspects.pop(0) if self.suspects else self.work.popleft()
+            case, shared = self.plan.cases[key], ()
+            if self.cache:
+                uses = self._uses(self.geometry_of[key])
+                shared = tuple(t for t in frame_times(case.flight).tolist() if uses[t] > 1)
+            folder = str(self.cache) if self.cache else None
+            task = Task(key, folder, shared, self.pool.threads, source_key())
             try:
-                future = self._start(key)
+                future = self.pool.executor.submit(attempt, self.simulate, case.model_dump_json(), task)
             except Exception as error:
                 if not is_worker_loss(error):
                     raise
                 self.suspects.insert(0, key)
                 self._renew()
                 continue
-            self.flying[future] = key
+            self.running[future] = key
 
-    def _room(self) -> int:
-        return min(self.pool.slots, 1) if self.alone else self.pool.slots
-
-    def _start(self, key: str) -> Future:
-        case = self.plan.cases[key]
-        place = self.geometry_of[key]
-        shared: tuple[float, ...] = ()
-        if self.cache:
-            asked = self._asked(place)
-            shared = tuple(t for t in frame_times(case.flight).tolist() if asked[t] > 1)
-        folder = str(self.cache) if self.cache else None
-        task = Task(key, folder, shared, self.pool.threads, source_key())
-        return self.pool.executor.submit(attempt, self.fly, case.model_dump_json(), task)
-
-    def _asked(self, place: str) -> Counter[float]:
-        """How many cases of this run need each frame of a geometry."""
-        if place not in self.asked:
+    def _uses(self, place: str) -> Counter[float]:
+        """Number of cases of this run that need each frame of a geometry."""
+        if place not in self.uses:
             mine = (self.plan.cases[key].flight for key in self.pending if self.geometry_of[key] == place)
-            self.asked[place] = Counter(t for flight in mine for t in frame_times(flight).tolist())
-        return self.asked[place]
+            self.uses[place] = Counter(t for flight in mine for t in frame_times(flight).tolist())
+        return self.uses[place]
 
     def _take(self, future: Future) -> bool:
-        """Deal with a future that is done; False if its worker was lost."""
+        """Record the outcome of a future; return False if its worker was lost."""
         error = None if future.cancelled() else future.exception()
         if future.cancelled() or (error is not None and is_worker_loss(error)):
             return False
-        key = self.flying.pop(future)
-        if error is not None:
-            raise error
+        key = self.running.pop(future)
         outcome = future.result()
         if "error" in outcome:
-            self._failed(key, outcome["error"], outcome["seconds"])
+            self._fail(key, outcome["error"], outcome["seconds"])
             return True
         with self._room_for_results():
             self.folder.publish(key, outcome)
         self.report.finished += 1
-        self.report.frames_read += outcome.get("frames_read", 0)
-        self.report.frames_traced += outcome.get("frames_traced", 0)
-        self.report.bytes_kept += outcome.get("bytes_kept", 0)
+        for name in ("frames_read", "frames_traced", "bytes_kept"):
+            setattr(self.report, name, getattr(self.report, name) + outcome.get(name, 0))
         self.callback(StudyEvent("finished", key, outcome["seconds"]))
         return True
 
@@ -247,32 +226,28 @@ class _Run:
             room = " (make room and run it again)" if error.errno == errno.ENOSPC else ""
             raise ValueError(
                 f"`output` must have room for results, got {error.strerror or error} in "
-                f"{self.folder.path}; finished cases are kept{room}"
+                f"{self.folder.path}; finished cases are saved{room}"
             ) from error
 
-    def _failed(self, key: str, error: str, seconds: float = 0.0) -> None:
+    def _fail(self, key: str, error: str, seconds: float = 0.0) -> None:
         self.attempts[key] += 1
         with self._room_for_results():
             self.folder.record_failure(key, self.plan.cases[key], error, self.attempts[key])
-        if self.attempts[key] <= self.plan.design.retries:
-            self.work.append(key)
-            self.callback(StudyEvent("retried", key, seconds, error))
-        else:
-            self.report.failed.append(key)
-            self.callback(StudyEvent("failed", key, seconds, error))
+        is_last = self.attempts[key] > self.plan.design.retries
+        (self.report.failed if is_last else self.work).append(key)
+        self.callback(StudyEvent("failed" if is_last else "retried", key, seconds, error))
 
     def _recover(self, lost: list[Future]) -> None:
-        """A worker is gone: blame its case if it flew alone, else fly the suspected ones one by one."""
+        """After a worker's loss, count it to its case if it ran alone, else run the suspects one by one."""
         if self.pool.renew is None:  # a cluster, which has tried the case on other workers itself
-            keys = [self.flying.pop(future) for future in lost]
-            for key in keys:
-                self._failed(key, _WORKER_LOST)
+            for key in [self.running.pop(future) for future in lost]:
+                self._fail(key, _WORKER_LOST)
             return
-        victims = list(self.flying.values())
-        self.flying.clear()
+        victims = list(self.running.values())
+        self.running.clear()
         self._renew()
         if len(victims) == 1:
-            self._failed(victims[0], _WORKER_LOST)
+            self._fail(victims[0], _WORKER_LOST)
             return
         self.suspects[:0] = victims
         for key in victims:
@@ -281,112 +256,106 @@ class _Run:
     def _renew(self) -> None:
         if self.pool.renew is None:
             raise ValueError(
-                f"`scheduler` must stay up, got none any more at {self.pool.name}; finished cases are kept "
+                f"`scheduler` must stay up, got none any more at {self.pool.name}; finished cases are saved "
                 "(run the study again to resume)"
             )
         self.pool.executor = self.pool.renew()
 
 
 class StudyPace:
-    """How much of a run is done, and when the rest will be.
+    """Progress of a run, and an estimate of the time left.
 
     Parameters
     ----------
     plan, folder
-        The study; what its finished cases took is the first estimate, a rough figure if there is none.
+        The study; the times of its finished cases are the first estimate, else `estimate_cpu_s`.
     todo
         Cases of this run.
     """
 
     def __init__(self, plan: Plan, folder: StudyFolder, todo: Iterable[str]):
-        self._work = {key: rough_s(plan.cases[key]) for key in todo}
-        self._left = dict(self._work)
-        self.whole = sum(self._work.values())
-        self._seconds = self._flown = 0.0
+        self._left = {key: estimate_cpu_s(plan.cases[key]) for key in todo}
+        self.count, self.whole = len(self._left), sum(self._left.values())
+        self._seconds = self._estimated = 0.0
         for key, case in plan.cases.items():
             outcome = None if key in self._left else folder.outcome(key)
             if outcome:
                 self._seconds += float(outcome["seconds"])
-                self._flown += rough_s(case)
+                self._estimated += estimate_cpu_s(case)
 
     @property
-    def measured(self) -> bool:
-        """Whether a case has finished from which the cost of others follows."""
-        return self._flown > 0
+    def is_measured(self) -> bool:
+        """Return True if a case has finished, so that times are measured."""
+        return self._estimated > 0
 
     @property
     def done(self) -> float:
-        """Work of cases that have ended, as `rough_s` weighs it. [s]"""
+        """Work of the cases that have ended, as `estimate_cpu_s`. [s]"""
         return self.whole - sum(self._left.values())
 
-    def ended(self, case_key: str, seconds: float | None) -> None:
-        """A case has finished within a time, or failed for good, which says nothing of the cost. [s]"""
+    def add(self, case_key: str, seconds: float | None) -> None:
+        """Add the end of a case with its time, or None if it failed. [s]"""
         work = self._left.pop(case_key, 0.0)
         if seconds is not None:
             self._seconds += seconds
-            self._flown += work
+            self._estimated += work
 
-    def left_s(self, workers: int) -> float:
-        """Time until the last case ends: the work shared evenly, but no less than the longest case. [s]"""
+    def remaining_s(self, workers: int) -> float:
+        """Time until the last case ends: the work divided evenly, but at least the longest case. [s]"""
         if not self._left:
             return 0.0
-        cost = self._seconds / self._flown if self.measured else 1.0
+        cost = self._seconds / self._estimated if self.is_measured else 1.0
         return cost * max(sum(self._left.values()) / max(workers, 1), *self._left.values())
 
     def summary(self, workers: int) -> str:
-        """Cases and time left, for whoever watches."""
-        count = f"{len(self._work) - len(self._left)}/{len(self._work)} cases"
-        return f"{count}, {format_duration(self.left_s(workers))} left" if self._left else count
+        """Number of cases done and time left."""
+        count = f"{self.count - len(self._left)}/{self.count} cases"
+        return f"{count}, {format_duration(self.remaining_s(workers))} left" if self._left else count
 
 
-def rough_s(case: Case) -> float:
-    """Processor time of a whole flight, roughly: what cases are weighed by before any has been flown. [s]"""
+def estimate_cpu_s(case: Case) -> float:
+    """Rough processor time of a whole flight, as a weight before any case has finished. [s]"""
     sensor, frames, every = case.sensor, case.flight.frames, case.bound.every
     measured = (frames - 1) // every if every else 0
-    an_element = ROUGH_SECONDS_AN_ELEMENT + ROUGH_SECONDS_A_RAY * sensor.oversampling**2
-    frame_s = sensor.rows * sensor.columns * an_element
-    return ROUGH_BUILD_S + frame_s * (frames + (ROUGH_BUDGET - 1) * measured)
+    frame_s = sensor.rows * sensor.columns * (SECONDS_PER_ELEMENT + SECONDS_PER_RAY * sensor.oversampling**2)
+    return BUILD_S + frame_s * (frames + (BUDGET_FACTOR - 1) * measured)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Forecast:
-    """What cases that are to be flown will take.
+    """Frames and disk space of the cases to be simulated.
 
     Parameters
     ----------
-    frames, held
-        All frames, and those in the cache.
+    frames, in_cache
+        Number of all frames, and of those in the cache.
     repeats
-        Frames that some case has traced before another asks for them.
+        Number of frames that an earlier case of the run traces.
     kept_bytes, result_bytes
-        Disk space of frames that are kept, and of results, roughly. [byte]
+        Rough disk space of the cache and of results. [byte]
     """
 
     frames: int = 0
-    held: int = 0
+    in_cache: int = 0
     repeats: int = 0
     kept_bytes: float = 0.0
     result_bytes: float = 0.0
 
 
-def foresee(plan: Plan, keys: Iterable[str], cache: Path) -> Forecast:
-    """Frames that the given cases will trace or read, and the disk space that they will take."""
-    found = Forecast()
+def forecast(plan: Plan, keys: Iterable[str], cache: Path) -> Forecast:
+    """Frames that cases will trace or read, and their disk space."""
+    total = Forecast()
     places: dict[str, list[Case]] = {}
     for key in keys:
         places.setdefault(geometry(plan.cases[key]), []).append(plan.cases[key])
-    for place, mine in places.items():
-        kept, sensor = HitsCache(cache, place), mine[0].sensor
-        asked = Counter(t for case in mine for t in frame_times(case.flight).tolist())
-        there = {t for t in asked if kept.holds(t)}
-        to_keep = sum(count > 1 and t not in there for t, count in asked.items())
-        shown = sum(case.flight.frames * len(case.channels) for case in mine)
-        found = Forecast(
-            frames=found.frames + asked.total(),
-            held=found.held + sum(asked[t] for t in there),
-            repeats=found.repeats + sum(asked[t] - 1 for t in asked if t not in there),
-            kept_bytes=found.kept_bytes
-            + to_keep * packed_bytes(sensor.rows * sensor.columns, sensor.oversampling**2),
-            result_bytes=found.result_bytes + ROUGH_BYTES_A_FRAME * shown,
-        )
-    return found
+    for place, cases in places.items():
+        entries, sensor = HitsCache(cache, place), cases[0].sensor
+        uses = Counter(t for case in cases for t in frame_times(case.flight).tolist())
+        new = {t: count for t, count in uses.items() if not entries.contains(t)}
+        to_keep = sum(count > 1 for count in new.values())
+        total.frames += uses.total()
+        total.in_cache += uses.total() - sum(new.values())
+        total.repeats += sum(count - 1 for count in new.values())
+        total.kept_bytes += to_keep * entry_size_bytes(sensor.rows * sensor.columns, sensor.oversampling**2)
+        total.result_bytes += BYTES_PER_FRAME * sum(case.flight.frames * len(case.channels) for case in cases)
+    return total

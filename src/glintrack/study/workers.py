@@ -37,7 +37,7 @@ except ImportError:  # not on Windows, where a worker's memory has no bound
     resource = None  # type: ignore[assignment]
 _CONNECT_S = 10.0
 _MEMORY_SHARE = 0.8
-# read when the libraries are loaded, so they have to be set before a worker starts
+# which libraries read when they are loaded
 _THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _OF_THE_HOST = ("build_s", "compile_s", "_ms_per_frame", "_ms_ahead")  # attributes that say how fast it was
 P = ParamSpec("P")
@@ -46,16 +46,16 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Task:
-    """How a worker simulates a case.
+    """Settings of a worker for one case.
 
     Parameters
     ----------
     case_key
         Name of the case.
     cache
-        Folder of kept hits; None keeps and reads none.
+        Folder of the hits cache; None for none.
     keeps_hits
-        Times of the frames that are kept once traced: other cases of the study need them too. [s]
+        Times of the frames to keep, which other cases of the study need. [s]
     threads
         Threads of each kernel.
     source
@@ -69,21 +69,24 @@ class Task:
     source: str | None = None
 
 
-Fly = Callable[[Case, Task], Mapping[str, Any]]
+Simulate = Callable[[Case, Task], Mapping[str, Any]]
 
 
-def attempt(fly: Fly, case_json: str, task: Task) -> dict[str, Any]:
-    """Fly a case and say how it went; what it raises comes back as text, so that no worker is lost to it.
+def attempt(simulate: Simulate, case_json: str, task: Task) -> dict[str, Any]:
+    """Simulate a case and return its outcome, or its traceback as text, so that the worker survives.
 
     Returns
     -------
     ``scores`` by channel, ``files`` by name, ``seconds``, ``cpu_seconds`` (of the whole process), ``worker``
-    and what ``fly`` adds, or ``error``: the traceback.
+    and the other values of ``simulate``, or ``error``: the traceback.
     """
     threads_before = numba.get_num_threads()
     numba.set_num_threads(min(task.threads, threads_before))
     start, start_cpu = time.perf_counter(), time.process_time()
     outcome: dict[str, Any] = {"worker": os.getpid()}
+    dask = sys.modules.get("dask")
+    # on a Dask worker xarray would ask the cluster for a lock of its files, in memory too, and fail
+    no_locks = contextlib.nullcontext() if dask is None else dask.config.set(scheduler="threads")
     try:
         if task.source not in (None, source_key()):
             raise ValueError(
@@ -91,108 +94,85 @@ def attempt(fly: Fly, case_json: str, task: Task) -> dict[str, Any]:
                 f"{source_key()} on {platform.node()} (install the same there)"
             )
         case = Case.model_validate_json(case_json)
-        with _without_cluster_locks():
-            outcome |= fly(case, task)
+        with no_locks:
+            outcome |= simulate(case, task)
         outcome["files"] = {"case.toml": to_toml(case).encode(), **outcome.get("files", {})}
-    except Exception as error:  # whatever it is, it belongs to this case, not to the study
+    except Exception as error:  # of this case, not of the study
         outcome["error"] = "".join(traceback.format_exception(error))
     finally:
         numba.set_num_threads(threads_before)
-    took = {"seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - start_cpu}
-    return outcome | took
+    times = {"seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - start_cpu}
+    return outcome | times
 
 
-def _without_cluster_locks() -> contextlib.AbstractContextManager:
-    """On a Dask worker xarray asks the cluster for a lock of what it writes, in memory too, and fails."""
-    dask = sys.modules.get("dask")
-    return contextlib.nullcontext() if dask is None else dask.config.set(scheduler="threads")
-
-
-def fly_case(case: Case, task: Task) -> dict[str, Any]:
-    """Simulate a case with kept hits; scores, the loss budget's stages, and the whole result as NetCDF.
+def simulate_case(case: Case, task: Task) -> dict[str, Any]:
+    """Simulate a case with the hits cache; return scores, stages of the loss budget, and the result.
 
     Raises
     ------
     KeyboardInterrupt
         If the flight was interrupted: half a case is no result.
     """
-    kept = HitsCache(Path(task.cache), geometry(case), task.keeps_hits) if task.cache else None
-    steps = FlightBudget(case)
-    tree = simulate(case, steps.measure, hits_cache=kept)
+    cache = HitsCache(Path(task.cache), geometry(case), task.keeps_hits) if task.cache else None
+    budget = FlightBudget(case)
+    tree = simulate(case, budget.measure, hits_cache=cache)
     if tree.attrs["interrupted"]:
         raise KeyboardInterrupt
     timing = {str(k): float(v) for k, v in tree.attrs.items() if str(k).endswith(_OF_THE_HOST)}
     for name in timing:
         del tree.attrs[name]
-    budgets = steps.budgets(tree)
-    told = {
-        "scores": {ch: scores(case, tree, ch) | stage_scores(budgets.get(ch)) for ch in case.channels},
-        "files": {"result.nc": _tree_bytes(tree), "timing.json": json.dumps(timing, indent=1).encode()},
-    }
-    if kept is not None:
-        told |= {"frames_read": kept.read, "frames_traced": kept.traced, "bytes_kept": kept.bytes_kept}
-    return told
+    found = {ch: scores(case, tree, ch) for ch in case.channels}
+    for channel, one in budget.budgets(tree).items():
+        shares = zip(one["stage"].values, one["of_moving"].values.astype(float), strict=True)
+        if channel in found:
+            found[channel] |= {f"stage_{name}": float(v) for name, v in shares if np.isfinite(v)}
+    with tempfile.TemporaryDirectory(prefix="glintrack-") as scratch:
+        path = Path(scratch) / "result.nc"
+        netcdf.write_tree(path, tree)
+        files = {"result.nc": path.read_bytes(), "timing.json": json.dumps(timing, indent=1).encode()}
+    outcome = {"scores": found, "files": files}
+    if cache is not None:
+        outcome |= {"frames_read": cache.read, "frames_traced": cache.traced, "bytes_kept": cache.bytes_kept}
+    return outcome
 
 
 def scores(case: Case, tree: xr.DataTree, channel: str) -> dict[str, Any]:
-    """What a study compares of one channel: the run's scores, its data rate, and scores over time."""
-    node = tree[channel]
-    found: dict[str, Any] = {str(name): float(value) for name, value in node.attrs.items()}
-    if "quality" in node.children:
-        found |= {str(name): float(value) for name, value in node["quality"].attrs.items()}
-    sensor = case.sensor
-    bits_a_frame = sensor.rows * sensor.columns * sensor.bits
-    found["data_rate_mbit_s"] = 1e-6 * bits_a_frame * case.flight.rate_hz
-    over_time = {
-        "completeness": "completeness",
-        "completeness_visible": "completeness_visible",
-        "false_per_epoch": "false_tracks",
-        "held_per_km2": "held_per_km2",
-        "false_per_km2": "false_per_km2",
-    }
+    """Scores of one channel for a study: those of the run, its data rate, and scores over time."""
+    node, sensor = tree[channel], case.sensor
+    quality = node["quality"].attrs if "quality" in node.children else {}
+    found: dict[str, Any] = {str(name): float(value) for name, value in {**node.attrs, **quality}.items()}
+    bits_per_frame = sensor.rows * sensor.columns * sensor.bits
+    found["data_rate_mbit_s"] = 1e-6 * bits_per_frame * case.flight.rate_hz
+    names = ("completeness", "completeness_visible", "held_per_km2", "false_per_km2")
+    over_time = {**dict(zip(names, names, strict=True)), "false_per_epoch": "false_tracks"}
     found["over_time"] = {name: np.asarray(node[source]).tolist() for name, source in over_time.items()}
     return found
 
 
-def stage_scores(budget: xr.Dataset | None) -> dict[str, float]:
-    """Share of all movers on each stage that was measured, by ``stage_NAME``."""
-    if budget is None:
-        return {}
-    values = zip(budget["stage"].values, budget["of_moving"].values.astype(float), strict=True)
-    return {f"stage_{name}": float(share) for name, share in values if np.isfinite(share)}
-
-
-def _tree_bytes(tree: xr.DataTree) -> bytes:
-    with tempfile.TemporaryDirectory(prefix="glintrack-") as scratch:
-        path = Path(scratch) / "result.nc"
-        netcdf.write_tree(path, tree)
-        return path.read_bytes()
-
-
 @dataclass
 class Pool:
-    """An executor and what the runner has to know of it.
+    """Executor with its number of workers.
 
     Parameters
     ----------
     executor
-        Takes the calls.
+        Executor of the calls.
     slots
-        How many at a time; 0 while a cluster has no workers.
+        Number of calls at a time; 0 while a cluster has no workers.
     name
-        For whoever watches.
+        Name for messages.
     threads
-        Of each worker.
+        Threads of each worker.
     renew
-        Makes a new executor in place of one that a dying worker broke; None where that cannot happen.
+        Makes a new executor after a worker's death; None where that cannot happen.
     link
-        Of a page that shows the work, where there is one.
+        Address of a dashboard, if there is one.
     is_up
-        Whether calls can still be made; a cluster may be gone.
+        Whether calls are possible; a cluster may be gone.
     count_slots
-        Counts them anew where workers come and go; None where they do not.
+        Counts the workers of a cluster; None for a fixed number.
     abandoned
-        Whether calls still run that nobody waits for: an interrupt.
+        Whether running calls were interrupted.
     """
 
     executor: Executor
@@ -206,17 +186,17 @@ class Pool:
     abandoned: bool = False
 
     def recount(self) -> None:
-        """Look how many workers there are now: a queue starts jobs one by one, and ends them."""
+        """Update the number of workers, which a queue starts and ends one by one."""
         if self.count_slots is not None and self.is_up():
-            with contextlib.suppress(OSError, TimeoutError):  # it went this moment: `is_up` will tell
+            with contextlib.suppress(OSError, TimeoutError):  # the cluster has just gone: see `is_up`
                 self.slots = self.count_slots()
 
 
 class SerialExecutor(Executor):
-    """Calls at once, in this process."""
+    """Executor that calls immediately in this process."""
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Call, and hand back a future that is done."""
+        """Call, and return a completed future."""
         future: Future[T] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -227,20 +207,20 @@ class SerialExecutor(Executor):
 
 @contextlib.contextmanager
 def serial() -> Iterator[Pool]:
-    """One case after the other, in the process that asks."""
+    """Pool of one case after the other in this process."""
     yield Pool(SerialExecutor(), 1, "this process", threads=os.cpu_count() or 1)
 
 
 @contextlib.contextmanager
 def processes(workers: int | None = None, memory_bytes: int | None = None) -> Iterator[Pool]:
-    """Processes of this machine, started anew (never forked), each with its share of cores and memory.
+    """Pool of processes of this machine, spawned with equal shares of cores and memory.
 
     Parameters
     ----------
     workers
-        How many; one a core by default.
+        Number of processes; one per core by default.
     memory_bytes
-        Of each, beyond which it meets a MemoryError; its share of four fifths of the machine's by default.
+        Memory limit of each; its share of four fifths of the machine's memory by default.
     """
     workers = workers or os.cpu_count() or 1
     threads = max((os.cpu_count() or 1) // workers, 1)
@@ -263,7 +243,7 @@ def processes(workers: int | None = None, memory_bytes: int | None = None) -> It
             pool.abandoned = True
             raise
         finally:
-            # whoever still flies was interrupted; a pool that is not waited for can hang its process's end
+            # calls that still run were interrupted; without an end they could block the exit
             for process in multiprocessing.active_children() if pool.abandoned else ():
                 if process.pid not in strangers:
                     process.terminate()
@@ -272,7 +252,7 @@ def processes(workers: int | None = None, memory_bytes: int | None = None) -> It
 
 @contextlib.contextmanager
 def dask(address: str, workers: int | None = None, memory_bytes: int | None = None) -> Iterator[Pool]:
-    """A Dask cluster: that of a scheduler's address, or one on this machine if the address is ``local``.
+    """Pool of a Dask cluster at a scheduler's address, or on this machine for the address ``local``.
 
     Raises
     ------
@@ -306,7 +286,7 @@ def dask(address: str, workers: int | None = None, memory_bytes: int | None = No
                 f"`scheduler` must be the address of a Dask scheduler that answers within {_CONNECT_S:g} s, "
                 f"got {address} (is it running, and is the port open?)"
             ) from error
-        with contextlib.suppress(TimeoutError):  # told below
+        with contextlib.suppress(TimeoutError):  # see below
             client.wait_for_workers(1, timeout=_CONNECT_S)
         slots = sum(client.nthreads().values())
         if slots == 0:
@@ -329,13 +309,13 @@ def dask(address: str, workers: int | None = None, memory_bytes: int | None = No
 
 
 def is_worker_loss(error: BaseException) -> bool:
-    """Whether a future failed because its worker or its cluster died rather than by what was called."""
+    """Return True if a future failed because its worker or its cluster died."""
     named = {"KilledWorker", "CommClosedError", "FutureCancelledError"}
     return isinstance(error, (BrokenExecutor, CancelledError)) or type(error).__name__ in named
 
 
 def memory_share(workers: int) -> int | None:
-    """Each worker's part of four fifths of this machine's memory, where that is known. [byte]"""
+    """Share of each worker in four fifths of this machine's memory; None if not known. [byte]"""
     try:
         total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
@@ -345,30 +325,27 @@ def memory_share(workers: int) -> int | None:
 
 @contextlib.contextmanager
 def _environment(threads: int) -> Iterator[None]:
-    """Thread counts as workers inherit them while they start."""
-    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    """Set the thread counts that workers inherit while they start."""
+    before = {name: os.environ[name] for name in _THREAD_VARIABLES if name in os.environ}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(threads)))
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for name in _THREAD_VARIABLES:
+            del os.environ[name]
+        os.environ.update(before)
 
 
 def _begin(memory_bytes: int | None) -> None:
-    """In a new worker: an interrupt is the driver's business, memory has its bound, and it ends with it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_driver, daemon=True).start()
-    if memory_bytes and resource is not None and sys.platform == "linux":
-        resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
-
-
-def _end_with_driver() -> None:
-    """Leave when the driver is gone: a worker of a killed one would wait for work forever."""
+    """Start a worker: ignore interrupts, limit the memory, and end with the driver."""
     driver = multiprocessing.parent_process()
-    if driver is not None:
+    assert driver is not None
+
+    def end_with_driver() -> None:
         multiprocessing.connection.wait([driver.sentinel])
         os._exit(1)
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=end_with_driver, daemon=True).start()
+    if memory_bytes and resource is not None and sys.platform == "linux":
+        resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
