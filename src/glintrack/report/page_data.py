@@ -96,11 +96,8 @@ def page_data(result: Result) -> dict:
     Rows are in order of time, ``per`` of them at each of ``times_s``; positions are in decimetres from the
     middle of ``extent_m``. Columns are base64 of little-endian numbers, see `encode`.
     """
-    tree, extent, times_s = (
-        result.tree,
-        _extent(result),
-        np.array(result.film.get("times_s", []), dtype=float),
-    )
+    tree, extent = result.tree, _extent(result)
+    times_s = np.array(result.film.get("times_s", []), dtype=float)
     for name in result.channels:
         times_s = _dataset(tree, name)["time"].values.astype(float)
     out = {"name": result.name, "times_s": _numbers(times_s), "extent_m": list(extent)}
