@@ -175,7 +175,7 @@ def reports_of(recording: Recording, found: Found, tracker: str, design: track.T
     for time_s, one in zip(times, found, strict=True):
         state = track.step_detections(state, one, time_s, grid)
         flown.append(state)
-    return as_rows(zip(times, track.reported_epochs(flown), strict=True))
+    return as_rows(zip(times, track.report_epochs(flown), strict=True))
 
 
 def truth_rows(recording: Recording) -> xr.Dataset:

@@ -11,7 +11,7 @@ SENSOR: Mapping[str, Any] = {"oversampling": 1, "polarizer": "ideal", "demosaic"
 TRACK: Mapping[str, Mapping[str, Any]] = {
     "motion": {"acceleration_psd_m2_s3": 1.5},
     "association": {"gate_probability": 0.999},
-    "initiation": {"quality_s": 1.5},
+    "initiation": {"rules": "rectified"},
     "reporting": {"method": "confirmation"},
     "query": {"at": "prediction"},
 }
@@ -30,6 +30,8 @@ def plain_tracker() -> TrackDesign:
 def plain_case(values: Mapping[str, Any]) -> Case:
     """A case with both, from its other values."""
     track = values.get("track", {})
+    if track.get("reporting", {}).get("method") == "existence":
+        track = {**track, "initiation": {"rules": "change", **track.get("initiation", {})}}
     both = {
         "channels": ("pan", "dolp"),
         **values,

@@ -33,10 +33,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from glintrack import metrics, track
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
+from glintrack.io.toml import to_toml
 from glintrack.track import existence, reporting
-from glintrack.track.calibration import Calibration, LogisticModel, read_calibration, write_calibration
-from glintrack.track.design import CONFIRMATION_RULES
-from glintrack.track.detect.design import DetectDesign
+from glintrack.track.calibration import Calibration, LogisticModel, calibration_file, read_calibration
+from glintrack.track.design import EXISTENCE_INITIATION, DetectDesign
 from glintrack.track.detect.detections import Association
 from glintrack.track.detect.frame import grid_of
 from glintrack.track.detect.mosaic import MosaicDetector, SearchedMosaic
@@ -45,6 +45,20 @@ from tools.record_flight import Recording, recorded
 
 CHANNELS = ("pan", "dolp", "all")
 RIDGE = 1e-3
+
+
+def write_calibration(name: str, calibration: Calibration, digits: int = 2) -> None:
+    """Write a calibration with rounded weights, and forget the one read before."""
+    models = {}
+    for key, model in calibration.models.items():
+        weights = [round(float(weight), digits) for weight in model.weights]
+        own = dict(zip(model.features, weights, strict=True))
+        models[key] = {"intercept": round(float(model.intercept), digits), "weights": own}
+    values = {"source": calibration.source, "valid": dict(calibration.valid), "models": models}
+    if calibration.constants:
+        values["constants"] = dict(calibration.constants)
+    calibration_file(name).write_text(to_toml(values), encoding="utf-8")
+    read_calibration.cache_clear()
 
 
 def fit_logistic(features: np.ndarray, label: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -214,7 +228,7 @@ def calibrate_mosaic() -> None:
 EXISTENCE_FLIGHTS = ("quickstart:11", "quickstart:12", "braunschweig:11")
 SETTLED_FRAMES = 4  # before it next to nothing is confirmed
 LAG_S = 1.5
-RULES = {f"initiation.{key}": value for key, value in CONFIRMATION_RULES.items()}
+RULES = {f"initiation.{key}": value for key, value in EXISTENCE_INITIATION.items()}
 
 LabelledTracks = tuple[
     np.ndarray, np.ndarray
@@ -252,7 +266,7 @@ def detected(recording: Recording, channel: str) -> Flight:
     for frame, truth in zip(recording.seen(), recording.truths, strict=True):
         state, _ = track.step(state, frame)
         if state.grid is not None:
-            found.append((frame.time_s, track.detections(state), state.grid, truth))
+            found.append((frame.time_s, state.detections, state.grid, truth))
     return Flight(case.name, case.seed, channel, recording.extent_m, found)
 
 

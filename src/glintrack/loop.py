@@ -159,7 +159,7 @@ def simulate(
                 turned[channel] = loop.advance(state, queries, tracks, score, known, served, image, quality)
                 loops[channel] = replace(loop, state=state)  # an interrupt wants the record before it alone
                 if callback is not None:
-                    turn = (image, served, tracks, score, spectra, track.detections(state))
+                    turn = (image, served, tracks, score, spectra, state.detections)
                     callback(Epoch(k, t, channel, observer, true_frame, *turn))
                     clock.lap("callback")
                 del seen, answer  # large

@@ -21,7 +21,7 @@ ALLOWED = {
     "render": FILES | {"scene", "atmosphere"},
     "sensor": FILES | {"devices"},
     "case": FILES | STAGES,
-    "bounds": FILES | {"scene", "render", "sensor", "ortho", "metrics"},
+    "bounds": FILES | {"scene", "render", "sensor", "ortho", "metrics", "track"},
     "bounds.run": FILES | STAGES | {"case", "results", "loop"},
     "results.figures": FILES | {"sensor"},
     "results": FILES | STAGES | {"case"},

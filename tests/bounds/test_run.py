@@ -12,7 +12,7 @@ from glintrack.case.packaged import find_case
 from glintrack.results.read import read_result
 from glintrack.results.run import run
 from glintrack.sensor import build_sensor
-from glintrack.track.design import CONFIRMATION_RULES
+from glintrack.track.initiation import RULES
 from tests.plain import plain_case
 
 
@@ -85,10 +85,10 @@ def test_the_oracle_uses_the_rules_of_the_tracker_in_use(name):
     design = Case.from_toml(find_case(name)).track
     times = 0.5 * np.arange(9)
     rules = oracle_rules(design, times, True)
-    assert rules.hits == CONFIRMATION_RULES["confirm_hits"] != design.initiation.confirm_hits
+    assert rules.hits == RULES["existence"].hits != RULES[design.initiation.rules].hits
     assert rules.lag_s == design.reporting.lag_s > 0
     fallback = oracle_rules(design, times, False)
-    assert fallback.hits == design.initiation.confirm_hits
+    assert fallback.hits == RULES[design.initiation.rules].hits
     assert fallback.lag_s == 0 and fallback.single_score == np.inf
 
 

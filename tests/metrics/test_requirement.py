@@ -6,10 +6,10 @@ from scipy import stats
 
 from glintrack.metrics.requirement import (
     Requirement,
-    in_a_sentence,
+    assess,
+    assess_flight,
+    describe_assessment,
     jackknife,
-    judge,
-    judge_flight,
     read_requirement,
 )
 from glintrack.metrics.tracks import Vehicles, match_epoch
@@ -28,9 +28,9 @@ def test_jackknife_of_a_mean_has_students_interval():
 
 @pytest.mark.parametrize(("limit", "answer"), [(0.70, "yes"), (0.80, "no"), (0.75, "undecided")])
 def test_what_lies_on_one_side_with_all_of_its_interval_is_decided(limit, answer):
-    found = judge(Requirement("custody", True, limit), 0.74, *STUDENT)
+    found = assess(Requirement("custody", True, limit), 0.74, *STUDENT)
     assert found.answer == answer
-    opposite = judge(Requirement("custody", False, limit), 0.74, *STUDENT)
+    opposite = assess(Requirement("custody", False, limit), 0.74, *STUDENT)
     assert opposite.answer == {"yes": "no", "no": "yes"}.get(answer, answer)
 
 
@@ -38,23 +38,23 @@ def test_what_lies_on_one_side_with_all_of_its_interval_is_decided(limit, answer
 def test_so_many_more_flights_decide(flights):
     """An interval that shrinks as 1/√flights just leaves the limit with those told, and not with one less."""
     required = Requirement("custody", True, 0.735)
-    found = judge(required, 0.74, *STUDENT, flights)
+    found = assess(required, 0.74, *STUDENT, flights)
     assert found.answer == "undecided"
     for more, answer in ((found.more_flights, "yes"), (found.more_flights - 1, "undecided")):
         shrunk = 0.74 + (np.array(STUDENT) - 0.74) * np.sqrt(flights / (flights + more))
-        assert judge(required, 0.74, *shrunk).answer == answer
+        assert assess(required, 0.74, *shrunk).answer == answer
 
 
 def test_right_on_the_limit_no_number_decides():
-    found = judge(Requirement("custody", True, 0.74), 0.74, *STUDENT)
+    found = assess(Requirement("custody", True, 0.74), 0.74, *STUDENT)
     assert (found.answer, found.more_flights) == ("undecided", None)
-    assert "would not decide" in in_a_sentence(Requirement("custody", True, 0.74), found)
+    assert "would not decide" in describe_assessment(Requirement("custody", True, 0.74), found)
 
 
 def test_one_part_decides_nothing():
-    found = judge(Requirement("custody", True, 0.1), *jackknife(lambda kept: 0.7 if kept else np.nan, 1))
+    found = assess(Requirement("custody", True, 0.1), *jackknife(lambda kept: 0.7 if kept else np.nan, 1))
     assert found.answer == "undecided"
-    assert "too short" in in_a_sentence(Requirement("custody", True, 0.1), found)
+    assert "too short" in describe_assessment(Requirement("custody", True, 0.1), found)
 
 
 def test_requirements_are_read_with_channel_and_sign():
@@ -91,6 +91,6 @@ def test_a_flight_of_few_frames_or_seconds_decides_nothing(frames, rate_hz, deci
     place_m = 50.0 * np.stack([ids, ids], axis=1)
     vehicles = Vehicles(ids, place_m, yes, yes, yes)
     epochs = [match_epoch(ids[:2], place_m[:2], vehicles, 5.0, k / rate_hz, 1.0) for k in range(frames)]
-    found = judge_flight(Requirement("completeness", True, 0.5), epochs)
+    found = assess_flight(Requirement("completeness", True, 0.5), epochs)
     assert found.value == pytest.approx(2 / 3)
     assert found.answer == ("yes" if decides else "undecided")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from glintrack.track.motion import combined, motion_over, newborn_modes, predict_modes, update_modes
+from glintrack.track.motion import combine_modes, initial_modes, motion_model, predict_modes, update_modes
 from tests.plain import plain_tracker
 
 TARGETS, STEPS, DT = 300, 40, 0.5
@@ -14,7 +14,7 @@ CONFIDENCE = 0.9999
 
 
 def errors(modes, truth):
-    mean, covariance = combined(modes)
+    mean, covariance = combine_modes(modes)
     difference = mean - truth
     return np.einsum("ni,nij,nj->n", difference, np.linalg.inv(covariance), difference)
 
@@ -35,12 +35,12 @@ def test_one_mode_is_consistent():
     """Truth drawn from the model itself: the mean NEES of 300 targets is χ² of 1200 degrees over 300."""
     rng = np.random.default_rng(0)
     design = plain_tracker().replace({"motion.model": "constant-velocity"})
-    motion = motion_over(design, DT)
+    motion = motion_model(design, DT)
     low, high = chi2.ppf([(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], 4 * TARGETS) / TARGETS
     truth = np.column_stack([rng.uniform(0, 500, (TARGETS, 2)), rng.normal(0, 8, (TARGETS, 2))])
     first = truth[:, :2] + rng.normal(0, SIGMA_M, (TARGETS, 2))
     eye = np.repeat(np.eye(2)[None], TARGETS, axis=0)
-    modes = newborn_modes(first, SIGMA_M**2 * eye, 64.0 * eye, 1)
+    modes = initial_modes(first, SIGMA_M**2 * eye, 64.0 * eye, 1)
     f, root = np.eye(4) + DT * np.eye(4, k=2), np.linalg.cholesky(motion.noise[0])
     for _ in range(STEPS):
         truth = truth @ f.T + rng.normal(size=(TARGETS, 4)) @ root.T
@@ -59,12 +59,12 @@ def test_interacting_modes_are_nearly_consistent():
     """
     rng = np.random.default_rng(1)
     design = plain_tracker().replace({"motion.model": "imm"})
-    motion = motion_over(design, DT)
+    motion = motion_model(design, DT)
     truth = np.column_stack([rng.uniform(0, 500, (TARGETS, 2)), rng.normal(0, 6, (TARGETS, 2))])
     mode = np.zeros(TARGETS, int)
     eye = np.repeat(np.eye(2)[None], TARGETS, axis=0)
     first = truth[:, :2] + rng.normal(0, SIGMA_M, (TARGETS, 2))
-    modes = newborn_modes(first, SIGMA_M**2 * eye, 64.0 * eye, 4)
+    modes = initial_modes(first, SIGMA_M**2 * eye, 64.0 * eye, 4)
     found = []
     for k in range(STEPS):
         slow = np.exp(-0.5 * (truth[:, 2:] ** 2).sum(axis=1) / motion.stopping2)
@@ -79,6 +79,6 @@ def test_interacting_modes_are_nearly_consistent():
         )
         modes = predict_modes(modes, motion, np.full(TARGETS, np.inf))
         modes = update_targets(modes, motion, truth, rng, rng.random(TARGETS) < motion.detection[mode])
-        if k >= 5:  # a newborn's modes are guessed
+        if k >= 5:  # a new target's modes are guessed
             found.append(errors(modes, truth).mean())
     assert np.mean(found) == pytest.approx(4.0, rel=0.5)

@@ -8,12 +8,12 @@ from scipy.special import entr, logsumexp
 
 from glintrack import track
 from glintrack.track import identity, queries, update
-from glintrack.track.initiation import newborn
+from glintrack.track.initiation import initiate
 from tests.plain import plain_tracker
 
 GRID = track.Grid((100, 100), (-75.0, 75.0), 1.5)
 EVERY_COLUMN = lambda enu: np.floor((enu[:, 0] + 75) / 1.5).astype(int)  # noqa: E731
-BINS = plain_tracker().identity.bins
+BINS = identity.BINS
 
 
 def population_of(paints, sigma=0.05, rng=None):
@@ -30,7 +30,7 @@ def targets_with(feature, spectra, design):
     """Confirmed targets of these features."""
     n = len(feature)
     found = track.Detections(np.zeros((n, 2)), np.repeat(np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
-    new = newborn(design, found, np.full((n, BINS), np.nan), np.arange(n), 0)
+    new = initiate(design, found, np.full((n, BINS), np.nan), np.arange(n), 0)
     return replace(new, confirmed=np.ones(n, bool), spectra=np.full(n, float(spectra)), feature=feature)
 
 
@@ -42,9 +42,10 @@ def one_detection_of(share):
 
 
 @pytest.mark.parametrize("unlike", [0.0, 0.1, 0.2, 0.5, 2.0])
-def test_worth_now_is_a_lower_bound_of_the_mutual_information(unlike):
+def test_worth_now_is_a_lower_bound_of_the_mutual_information(unlike, monkeypatch):
     """Against draws of owner and spectrum: never above, close where spectra are all alike or all apart."""
-    design = plain_tracker().replace({"identity.cap": 1e3})
+    design = plain_tracker()
+    monkeypatch.setattr(identity, "MAX_RATIO_NAT", 1e3)
     rng = np.random.default_rng(3)
     paints = rng.normal(0, 0.5, (40, BINS))
     population = population_of(paints)
@@ -53,7 +54,7 @@ def test_worth_now_is_a_lower_bound_of_the_mutual_information(unlike):
     targets = targets_with(mean, 1e6, design)  # so many spectra that nothing is left to learn later
     share = np.array([0.5, 0.3, 0.2])
     costs, share = one_detection_of(share)
-    found = queries.detection_gain(targets, population, design, costs, share, 1)[0]
+    found = queries.detection_gain(targets, population, costs, share, 1)[0]
 
     ratio, basis = identity.axes(population)
     along = (targets.feature - population.mean) @ basis
@@ -78,7 +79,7 @@ def test_a_spectrum_is_worth_most_where_unlike_targets_contend():
 
     def information_gain(kinds, share, spectra=9):
         targets = targets_with(paints[kinds], spectra, design)
-        return queries.detection_gain(targets, population, design, *one_detection_of(share), 1)[0]
+        return queries.detection_gain(targets, population, *one_detection_of(share), 1)[0]
 
     assert information_gain([0, 1], [0.5, 0.5]) > 3 * information_gain([0, 0], [0.5, 0.5])
     assert information_gain([0, 1], [0.5, 0.5]) > 3 * information_gain([0, 1], [0.99, 0.01])
@@ -114,7 +115,7 @@ def crossing(seed, query_at, policy="entropy"):
             (place + rng.normal(0, 0.6, place.shape))[order],
             np.repeat(0.36 * np.eye(2)[None], 2, 0), np.full(2, 4.0), np.ones(2),
         )  # fmt: skip
-        seen = track.given_detections(state, found, t, GRID)
+        seen = track.prepare_detections(state, found, t, GRID)
         if query_at == "detection":
             queries = track.query_detections(state, seen, EVERY_COLUMN)
         asked = np.array([(q.east_m, q.north_m) for q in queries if q.track_id >= 0]).reshape(-1, 2)
@@ -174,7 +175,7 @@ def test_only_a_design_that_asks_at_detections_asks_of_them():
         state = track.start(design)
         for k in range(3):
             state = track.step_detections(state, found, 0.5 * k, GRID)
-        seen = track.given_detections(state, found, 1.5, GRID)
+        seen = track.prepare_detections(state, found, 1.5, GRID)
         queries = [q for q in track.query_detections(state, seen, EVERY_COLUMN) if q.track_id >= 0]
         assert len(queries) == count
         assert track.query_predictions(state, EVERY_COLUMN)[1] == () or design.query.at == "prediction"
@@ -196,7 +197,7 @@ def test_round_robin_asks_whose_detections_waited_longest():
     found = track.Detections(place, np.repeat(0.36 * np.eye(2)[None], 3, 0), np.ones(3), np.ones(3))
     state = track.start(design)
     for k in range(12):
-        seen = track.given_detections(state, found, 0.5 * k, GRID)
+        seen = track.prepare_detections(state, found, 0.5 * k, GRID)
         queries = track.query_detections(state, seen, EVERY_COLUMN)
         evidence = np.full((3, BINS), np.nan)
         for q in queries:
@@ -210,7 +211,7 @@ def test_round_robin_asks_whose_detections_waited_longest():
 def test_frame_detections_are_of_their_state_time_and_grid_alone():
     found = track.Detections(np.zeros((1, 2)), 0.36 * np.eye(2)[None], np.ones(1), np.ones(1))
     first = track.start(plain_tracker().replace({"query.at": "detection"}))
-    seen = track.given_detections(first, found, 0.0, GRID)
+    seen = track.prepare_detections(first, found, 0.0, GRID)
     second = track.step_detections(first, seen, 0.0, GRID)
     with pytest.raises(ValueError, match="of the state that they are used with, got those of frame 0"):
         track.step_detections(second, seen, 0.0, GRID)

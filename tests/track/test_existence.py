@@ -9,13 +9,14 @@ from glintrack import track
 from glintrack.track import existence
 from glintrack.track.existence import NEIGHBOUR_M, REASSIGNED_M
 from glintrack.track.existence import existence_log_odds as log_odds
-from glintrack.track.initiation import newborn, select
+from glintrack.track.identity import BINS
+from glintrack.track.initiation import initiate, select
 from tests.plain import plain_tracker
 
 CHANNELS = ("pan", "dolp", "all")
 AREA = track.Grid((40, 40), (-300.0, 300.0), 15.0)
 INTERVAL_S = 0.5
-EXISTENCE = {"reporting.method": "existence", "reporting.lag_s": 0.0}
+EXISTENCE = {"reporting.method": "existence", "reporting.lag_s": 0.0, "initiation.rules": "change"}
 
 
 def followed(east_m, speed_m_s=10.0, trust: float | np.ndarray = 2.0):
@@ -24,7 +25,7 @@ def followed(east_m, speed_m_s=10.0, trust: float | np.ndarray = 2.0):
     place = np.stack([np.asarray(east_m, float), np.zeros(n)], axis=-1)
     found = track.Detections(place, np.repeat(np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
     design = plain_tracker()
-    new = newborn(design, found, np.full((n, design.identity.bins), np.nan), np.arange(n), 0)
+    new = initiate(design, found, np.full((n, BINS), np.nan), np.arange(n), 0)
     mean = new.mean.copy()
     mean[:, 3] = speed_m_s
     return replace(
@@ -136,32 +137,33 @@ def test_all_are_reported_where_detections_say_nothing_of_themselves():
 
 
 def test_at_first_sight_only_what_stands_apart_is_confirmed():
-    design = plain_tracker().replace({"query.policy": "none", "initiation.confirm_ratio": 2.0})
+    design = plain_tracker().replace({"query.policy": "none", "initiation.rules": "frames"})
     known = followed([0.0])
     place = np.array([[3.9, 0.0], [4.1, 0.0], [50.0, 0.0]])
     found = track.Detections(
         place, np.repeat(np.eye(2)[None], 3, 0), np.ones(3), np.ones(3),
-        log_likelihood_ratio=np.array([3.0, 3.0, 1.0]),
+        log_likelihood_ratio=np.array([5.0, 5.0, 3.0]),
     )  # fmt: skip
-    features = np.full((3, design.identity.bins), np.nan)
-    born = newborn(design, found, features, np.arange(3), 7, apart_from=known)
+    features = np.full((3, BINS), np.nan)
+    born = initiate(design, found, features, np.arange(3), 7, apart_from=known)
     np.testing.assert_array_equal(born.confirmed, [False, True, False])
 
 
 @pytest.mark.parametrize(
     ("method", "key", "value"),
     [
-        ("existence", "initiation.confirm_hits", 4),
-        ("existence", "initiation.confirm_travel_m", 3.0),
+        ("existence", "initiation.rules", "frames"),
+        ("existence", "initiation.confirm_score", 3.0),
         ("confirmation", "reporting.max_false_share", 0.2),
         ("confirmation", "reporting.lag_s", 0.0),
     ],
 )
 def test_keys_that_the_reporting_method_ignores_are_refused(method, key, value):
     other = {"existence": "confirmation", "confirmation": "existence"}[method]
-    assert plain_tracker().replace({"reporting.method": other, key: value})
+    plain = plain_tracker().replace({"initiation.rules": "change"})
+    assert plain.replace({"reporting.method": other, key: value})
     with pytest.raises(ValueError, match=rf"`{key}` must be left out with reporting.method = '{method}'"):
-        plain_tracker().replace({"reporting.method": method, key: value})
+        plain.replace({"reporting.method": method, key: value})
 
 
 def placed(place, velocity=(0.0, 10.0)):
@@ -251,10 +253,7 @@ def test_the_oldest_leads_and_stands_in_the_middle_and_the_rest_stay():
 
 @pytest.mark.parametrize(("gap_m", "vehicles"), [(7.0, 1), (15.0, 2)])
 def test_two_ends_are_one_track_and_two_vehicles_are_two(gap_m, vehicles):
-    design = plain_tracker().replace(
-        {"query.policy": "none", "reporting.max_false_share": 0.5, "initiation.speed_sigma_m_s": 8.0}
-        | EXISTENCE
-    )
+    design = plain_tracker().replace({"query.policy": "none", "reporting.max_false_share": 0.5} | EXISTENCE)
     state, told = track.start(design), []
     for k in range(14):
         middle = 10.0 * INTERVAL_S * k

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from glintrack.track.motion import (
     Modes,
     Motion,
-    combined,
-    motion_over,
-    newborn_modes,
+    combine_modes,
+    initial_modes,
+    motion_model,
     predict_modes,
     update_modes,
 )
@@ -21,7 +21,7 @@ NEVER = np.array([np.inf])
 
 
 def straight(q, dt):
-    return motion_over(
+    return motion_model(
         plain_tracker().replace({"motion.acceleration_psd_m2_s3": q, "motion.model": "constant-velocity"}), dt
     )
 
@@ -64,10 +64,10 @@ def test_hand_worked_step():
 
 
 def test_turn_to_the_left_by_a_quarter_circle():
-    """90° s⁻¹ for 1 s at 10 m/s east: radius 10/(π/2); one radius north-east it drives north."""
-    design = plain_tracker().replace({"motion.model": "imm", "motion.turn_rate_deg_s": 90.0})
-    motion = motion_over(design, 1.0)
-    left, right, radius = 1, 2, 10 / (np.pi / 2)
+    """20° s⁻¹ for 4.5 s at 10 m/s east: one radius north-east it drives north."""
+    design = plain_tracker().replace({"motion.model": "imm"})
+    motion = motion_model(design, 4.5)
+    left, right, radius = 1, 2, 10 / np.deg2rad(20.0)
     way = motion.reach @ np.array([10.0, 0.0])
     np.testing.assert_allclose(way[left], [radius, radius], atol=rounding)
     np.testing.assert_allclose(way[right], [radius, -radius], atol=rounding)
@@ -108,7 +108,7 @@ def test_equals_the_imm_of_filterpy():
         peer.predict()
         peer.update(z[:, None])
         modes = hit_each(predict_modes(modes, motion, NEVER), motion, z[None], noise[None])
-        mean, covariance = combined(modes)
+        mean, covariance = combine_modes(modes)
         np.testing.assert_allclose(modes.probability[0], peer.mu, atol=1e-10)  # both round in ten steps
         np.testing.assert_allclose(mean[0], peer.x[:, 0], atol=1e-10)
         np.testing.assert_allclose(covariance[0], peer.P, atol=1e-9)
@@ -123,8 +123,8 @@ def test_misses_make_a_vehicle_stand():
             "motion.stopped_detection_probability": 0.1,
         }
     )
-    motion = motion_over(design, 0.5)
-    modes = newborn_modes(np.zeros((1, 2)), np.eye(2)[None], 25.0 * np.eye(2)[None], design.motion.modes)
+    motion = motion_model(design, 0.5)
+    modes = initial_modes(np.zeros((1, 2)), np.eye(2)[None], 25.0 * np.eye(2)[None], design.motion.modes)
     before = modes.probability[0]
     after = update_modes(
         modes, motion, np.ones(1), np.array([0, 0]), np.empty(0, int), np.empty(0), np.empty((0, 2)),
@@ -141,11 +141,9 @@ def test_misses_make_a_vehicle_stand():
 
 def test_what_drives_fast_does_not_stand():
     """At rest the chance to stop is the design's, at v it is exp(−v²/2s²) of that; the rest goes on."""
-    design = plain_tracker().replace(
-        {"motion.model": "imm", "motion.stopping_speed_m_s": 1.0, "motion.braking_m_s2": 3.0}
-    )
+    design = plain_tracker().replace({"motion.model": "imm"})
     dt, variance = 0.5, 0.25
-    motion = motion_over(design, dt)
+    motion = motion_model(design, dt)
     mean = np.zeros((2, 4, 4))
     mean[1, :, 2] = 5.0
     start = Modes(
@@ -206,11 +204,11 @@ def test_covariance_stays_positive_semidefinite(motion, seed):
     """Through 100 steps with random intervals, damping, misses and correlated measurements."""
     rng = np.random.default_rng(seed)
     n, design = 5, plain_tracker().replace({"motion.model": motion})
-    modes = newborn_modes(
+    modes = initial_modes(
         np.zeros((n, 2)), np.repeat(np.eye(2)[None], n, 0), 64.0 * np.eye(2)[None], design.motion.modes
     )
     for _ in range(100):
-        move = motion_over(design, rng.uniform(0.05, 2))
+        move = motion_model(design, rng.uniform(0.05, 2))
         damping = np.where(rng.random(n) < 0.5, np.inf, 3.0)
         modes = predict_modes(modes, move, damping, 30.0)
         root = rng.normal(size=(n, 2, 2)) * 10 ** rng.uniform(-2, 1)
@@ -218,7 +216,7 @@ def test_covariance_stays_positive_semidefinite(motion, seed):
         measured = np.where(rng.random((n, 1)) < 0.7, rng.normal(0, 100, (n, 2)), np.nan)
         modes = hit_each(modes, move, measured, noise)
         np.testing.assert_allclose(modes.probability.sum(axis=1), 1, atol=1e-9)  # rounding, renormalised
-    _, covariance = combined(modes)
+    _, covariance = combine_modes(modes)
     values = np.linalg.eigvalsh(covariance)
     assert (covariance == covariance.transpose(0, 2, 1)).all()
     assert values.min() > -1e-9 * values.max()  # rounding of differences of like size

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from glintrack import track
 from glintrack.core.schema import RADIANCE
 from glintrack.track import identity, queries
-from glintrack.track.initiation import newborn
+from glintrack.track.initiation import initiate
 from tests.plain import plain_tracker
 
 
@@ -84,7 +84,7 @@ def targets_at(position, spectra, feature, design, sigma_m=1.0):
     """Confirmed targets that stand, each with a number of spectra of one mean feature."""
     n = len(position)
     found = track.Detections(position, np.repeat(sigma_m**2 * np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
-    new = newborn(design, found, np.full((n, design.identity.bins), np.nan), np.arange(n), 0)
+    new = initiate(design, found, np.full((n, identity.BINS), np.nan), np.arange(n), 0)
     return replace(
         new,
         confirmed=np.ones(n, bool),
@@ -139,23 +139,23 @@ def test_the_first_spectrum_is_worth_more_than_the_tenth():
     )
 
 
-def test_separation_is_twice_the_expected_log_likelihood_ratio():
+def test_separation_is_twice_the_expected_log_likelihood_ratio(monkeypatch):
+    monkeypatch.setattr(identity, "MAX_RATIO_NAT", 1e9)
     paints, population = six_paints()
     rng = np.random.default_rng(1)
     many, mean = np.full(4000, 1e6), np.repeat(paints[:1], 4000, axis=0)
     ratio, basis = identity.axes(population)  # spectra as the population has learnt they spread
     new = paints[0] + rng.normal(0, np.sqrt(ratio), (4000, 8)) @ np.linalg.inv(basis)
     other = np.repeat(paints[:1] + 0.01, 4000, axis=0)
-    limits = (1e9,)
-    own = identity.log_likelihood_ratio(population, mean, many, new, *limits)
-    wrong = identity.log_likelihood_ratio(population, other, many, new, *limits)
+    own = identity.log_likelihood_ratio(population, mean, many, new)
+    wrong = identity.log_likelihood_ratio(population, other, many, new)
     along = [(one[:1] - population.mean) @ basis for one in (mean, other)]
     none = np.zeros(1)
-    expected = identity.divergence2((along[0], many[:1]), (along[1], many[:1]), ratio, 1e9)[0]
+    expected = identity.divergence2((along[0], many[:1]), (along[1], many[:1]), ratio)[0]
     assert 2 * (own - wrong).mean() == pytest.approx(expected, rel=0.05)
-    anybody = identity.divergence2((along[0], many[:1]), (along[1], none), ratio, 1e9)[0]
+    anybody = identity.divergence2((along[0], many[:1]), (along[1], none), ratio)[0]
     assert 2 * own.mean() == pytest.approx(anybody, rel=0.05)
-    assert identity.divergence2((along[0], none), (along[1], none), ratio, 1e9) == 0
+    assert identity.divergence2((along[0], none), (along[1], none), ratio) == 0
 
 
 def test_a_spectrum_that_may_be_the_grounds_says_less():
@@ -179,10 +179,10 @@ def test_the_ground_is_told_from_vehicles():
     road = rng.normal(0, 0.5, 8)
     seen = road + rng.normal(0, 0.02, (40, 8))
     ground = identity.update_population(identity.empty_population(8), seen, np.zeros((40, 8)), np.zeros(40))
-    assert (identity.ground_ratio(population, ground, road + rng.normal(0, 0.02, (50, 8)), 6.0) > 3).all()
-    assert (identity.ground_ratio(population, ground, paints, 6.0) < -3).all()
-    assert identity.ground_ratio(population, ground, np.full((1, 8), np.nan), 6.0) == 0
-    assert not identity.ground_ratio(population, identity.empty_population(8), paints, 6.0).any()
+    assert (identity.ground_ratio(population, ground, road + rng.normal(0, 0.02, (50, 8))) > 3).all()
+    assert (identity.ground_ratio(population, ground, paints) < -3).all()
+    assert identity.ground_ratio(population, ground, np.full((1, 8), np.nan)) == 0
+    assert not identity.ground_ratio(population, identity.empty_population(8), paints).any()
 
 
 def test_the_ground_is_asked_for_ahead_where_nobody_is():
@@ -224,14 +224,16 @@ def spectra_of(radiance, position, served=None, noise=1e-3):
 def test_shade_leaves_the_feature_as_it_is():
     spectrum = np.linspace(1, 3, 61)[None]
     both = np.concatenate([spectrum, 0.2 * spectrum])
-    _, f = identity.of_spectra(spectra_of(both, np.zeros((2, 2))), 8)
+    _, f = identity.spectral_features(spectra_of(both, np.zeros((2, 2))), 8)
     np.testing.assert_allclose(f[0], f[1], atol=1e-12)  # rounding
 
 
 def test_unserved_and_missing_spectra_are_left_out():
     radiance = np.ones((3, 61))
     radiance[1] = np.nan
-    where, f = identity.of_spectra(spectra_of(radiance, np.eye(3)[:, :2], np.array([1.0, 1.0, 0.0])), 8)
+    where, f = identity.spectral_features(
+        spectra_of(radiance, np.eye(3)[:, :2], np.array([1.0, 1.0, 0.0])), 8
+    )
     assert f.shape == (1, 8) and where.tolist() == [[1, 0]]
 
 
@@ -258,17 +260,15 @@ def test_own_spectrum_speaks_for_and_others_against():
     population = identity.update_population(population, f[200:300], paints[kind[200:300]], count[:100] + 5)
     new, other = f[300:], (kind[300:] + 1) % 6
     five = np.full(100, 5.0)
-    own = identity.log_likelihood_ratio(population, paints[kind[300:]], five, new, 6.0)
-    wrong = identity.log_likelihood_ratio(population, paints[other], five, new, 6.0)
+    own = identity.log_likelihood_ratio(population, paints[kind[300:]], five, new)
+    wrong = identity.log_likelihood_ratio(population, paints[other], five, new)
     assert (own > 0).mean() > 0.95 and (wrong < 0).mean() > 0.95
     assert np.abs(wrong).max() <= 6.0
 
 
 def test_nothing_is_said_without_spectra():
     population = identity.empty_population(3)
-    out = identity.log_likelihood_ratio(
-        population, np.zeros((2, 3)), np.ones(2), np.full((2, 3), np.nan), 6.0
-    )
+    out = identity.log_likelihood_ratio(population, np.zeros((2, 3)), np.ones(2), np.full((2, 3), np.nan))
     assert out.tolist() == [0.0, 0.0]
 
 

@@ -40,7 +40,7 @@ def states(found, lag_s=LAG_S):
 
 def told(found, lag_s=LAG_S):
     """Tracks of each frame."""
-    return list(track.reported_epochs(states(found, lag_s)))
+    return list(track.report_epochs(states(found, lag_s)))
 
 
 def east(k):
@@ -136,7 +136,7 @@ def test_one_that_leads_back_onto_another_is_not_told_beside_it():
 def test_nothing_unmeasured_is_told_if_the_design_says_so():
     found = [drive(k, missed=(10, 11)) for k in range(FRAMES)]
     design = DESIGN.replace({"reporting.lag_s": LAG_S, "reporting.coasted": False})
-    quiet = list(track.reported_epochs(replace(state, design=design) for state in states(found)))
+    quiet = list(track.report_epochs(replace(state, design=design) for state in states(found)))
     assert all((one["coasted"].values == 0).all() for one in quiet)
     assert any((one["coasted"].values > 0).any() for one in told(found))
 
@@ -148,24 +148,3 @@ def test_where_detections_say_nothing_of_themselves_nothing_waits():
         live = track.report(state)
         waiting, out = track.advance(waiting, state, live)
         assert waiting == () and len(out) == 1 and out[0] is live
-
-
-@pytest.mark.parametrize("lag_s", [0.0, 0.3, 1.5, 60.0])
-def test_told_at_some_shares_is_what_designs_with_each_tell(lag_s):
-    rng, born = np.random.default_rng(3), 5
-    found = [
-        seen([(east(k), 0.0), (east(k), 60.0), *rng.uniform(-150, 150, (4, 2))][: 6 if k >= born else 1], 1.0)
-        for k in range(FRAMES)
-    ]
-    found[14] = replace(found[14], log_likelihood_ratio=None)  # of which nothing waits
-    flown, shares = states(found, lag_s), (0.02, 0.3, 0.7)
-    told = list(track.report_at_shares(flown, shares))
-    each = [[one.tracks.isel(track=one.at[k]) for one in told] for k in range(len(shares))]
-    for share, mine in zip(shares, each, strict=True):
-        designed = [
-            replace(state, design=state.design.replace({"reporting.max_false_share": share}))
-            for state in flown
-        ]
-        for one, other in zip(mine, track.reported_epochs(designed), strict=True):
-            assert one.identical(other)
-    assert sum(one.sizes["track"] for one in each[0]) < sum(one.sizes["track"] for one in each[-1])

@@ -15,9 +15,7 @@ GRID = Grid((20, 20), (-142.5, 142.5), 15.0)
 
 def test_cost_is_the_gaussian_of_the_way_off_the_road():
     """On the road nothing; 3 m + 2σ off it 2 nat; far off no more than the cap."""
-    costs = roads.roads_of(LINES).off_road_cost(
-        np.array([[10.5, 0.0], [10.5, -7.0], [-90.0, 80.0]]), 2.0, 4.0
-    )
+    costs = roads.roads_of(LINES).off_road_cost(np.array([[10.5, 0.0], [10.5, -7.0], [-90.0, 80.0]]))
     np.testing.assert_allclose(costs, [0.0, 2.0, 4.0], atol=1e-9)
 
 
@@ -37,10 +35,9 @@ def confirmed_after(epochs, north_m, design):
     return track.report(state).sizes["track"]
 
 
-def test_off_the_road_a_track_must_prove_more():
-    with_map = plain_tracker().replace(
-        {"roads.prior": True, "roads.cap": 8.0, "association.clutter_density_m2": 1e-3}
-    )
+def test_off_the_road_a_track_must_prove_more(monkeypatch):
+    monkeypatch.setattr(roads, "MAX_COST_NAT", 8.0)
+    with_map = plain_tracker().replace({"roads.prior": True, "association.clutter_density_m2": 1e-3})
     without = plain_tracker().replace({"association.clutter_density_m2": 1e-3})
     for epochs in range(2, 12):
         on, off = confirmed_after(epochs, 0.0, with_map), confirmed_after(epochs, -40.0, with_map)

@@ -41,43 +41,19 @@ def test_detections_come_back_as_they_were():
         np.testing.assert_array_equal(getattr(back, name), getattr(found, name)[index])
 
 
-def test_our_tracker_takes_the_place_of_theirs():
-    """In Stone Soup's own loop: two tracks that end where the cars are, with states of Stone Soup."""
-    pytest.importorskip("stonesoup", reason="needs the extra stonesoup")
-    frames = list(two_cars())
-    detector = [
-        (EPOCH + timedelta(seconds=t), set(stone_soup.to_detections(found, t, EPOCH)))
-        for t, _, found in frames
-    ]
-    when, tracks = list(stone_soup.run_tracker(detector, stone_soup.Settings(GRID)))[-1]
-    assert when == detector[-1][0] and len(tracks) == 2
-    ends = np.array([[float(one.state_vector[0]), float(one.state_vector[2])] for one in tracks])
-    for car in frames[-1][1]:
-        three_sigma_m = 1.5
-        assert np.hypot(*(ends - car).T).min() < three_sigma_m
-    longest = max(tracks, key=len)
-    assert len(longest) > 4 and longest.covar.shape == (4, 4)
-
-    state = track.start()
-    for t, _, found in frames:
-        state = track.step_detections(state, found, t, GRID)
-    ours = np.sort(track.report(state)["east"].values)
-    np.testing.assert_array_equal(np.sort(ends[:, 0]), ours)
-
-
-def test_their_tracker_in_our_scores():
-    pytest.importorskip("stonesoup", reason="needs the extra stonesoup")
-    frames = list(two_cars())
-    detector = [
-        (EPOCH + timedelta(seconds=t), set(stone_soup.to_detections(found, t, EPOCH)))
-        for t, _, found in frames
-    ]
-    for when, tracks in stone_soup.run_tracker(detector, stone_soup.Settings(GRID)):
-        dataset = stone_soup.from_tracks(tracks, (when - EPOCH).total_seconds(), EPOCH)
-    assert dataset.sizes["track"] == 2
-    assert sorted(dataset["east_var"].values) == sorted(float(one.covar[0, 0]) for one in tracks)
-    empty = stone_soup.from_tracks(set(), 0.0, EPOCH)
-    assert empty.sizes["track"] == 0
+def test_their_tracks_in_our_scores():
+    state = pytest.importorskip("stonesoup.types.state", reason="needs the extra stonesoup")
+    track_of = pytest.importorskip("stonesoup.types.track", reason="needs the extra stonesoup").Track
+    when, covariance = EPOCH + timedelta(seconds=2.0), np.diag([1.0, 2.0, 3.0, 4.0])
+    tracks = {
+        track_of([state.GaussianState(np.array([[east], [8.0], [1.0], [0.5]]), covariance, timestamp=when)])
+        for east in (10.0, 40.0)
+    }
+    dataset = stone_soup.from_tracks(tracks, 2.0, EPOCH)
+    assert sorted(dataset["east"].values) == [10.0, 40.0] and (dataset["north"].values == 1.0).all()
+    assert (dataset["east_speed"].values == 8.0).all() and (dataset["north_var"].values == 3.0).all()
+    assert (dataset["coasted"].values == 1.0).all()
+    assert stone_soup.from_tracks(set(), 0.0, EPOCH).sizes["track"] == 0
 
 
 def test_what_cannot_be_used_is_one_sentence(monkeypatch):

@@ -81,8 +81,7 @@ def test_cars_of_the_first_frame_leave_no_lasting_ghosts():
 
 def waits(hits, again_s=None):
     """How long a track is reported after its last hit, and after one false blob `again_s` later. [s]"""
-    design = DETECTIONS_DESIGN.replace({"initiation.quality_s": 4.0})
-    state, area, dt = track.start(design), track.Grid((40, 40), (-300.0, 300.0), 15.0), 0.5
+    state, area, dt = track.start(DETECTIONS_DESIGN), track.Grid((40, 40), (-300.0, 300.0), 15.0), 0.5
     last = hits * dt
     for k in range(200):
         t = k * dt
@@ -102,8 +101,8 @@ def waits(hits, again_s=None):
 
 
 def test_a_track_waits_as_long_as_it_was_followed():
-    """Full quality after 4 s; a false blob near the end of the wait earns an eighth, no second full wait."""
-    full, half = waits(20), waits(6)
+    """Full quality after 3 s; a false blob near the end of the wait earns a sixth, no second full wait."""
+    full, half = waits(20), waits(5)
     assert 10 < full <= 30.5
     assert half < 0.85 * full
     assert waits(20, again_s=full - 2.0) < 0.5 * full
@@ -209,7 +208,7 @@ def test_round_robin_asks_everybody_in_turn():
 
 def test_records_of_detections_are_their_arrays():
     states, _ = follow(three_cars(np.arange(0, 4, 0.5)))
-    found = track.detections(states[-1])
+    found = states[-1].detections
     assert found.records()[0].east_m == found.position[0, 0]
 
 
@@ -267,8 +266,6 @@ def test_bad_frames_are_refused_in_one_sentence():
 
 
 def test_bad_designs_are_refused():
-    with pytest.raises(ValueError, match=r"`initiation.confirm_hits` must not exceed"):
-        plain_tracker().replace({"initiation.confirm_hits": 6})
     with pytest.raises(ValueError, match=r"`detect.channel` must be"):
         plain_tracker().replace({"detect.channel": "colour"})
     with pytest.raises(ValueError, match="did you mean `dolp_threshold`"):

@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 from glintrack.camera import Camera, Pose, project
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
+from glintrack.track.detect.footprint import footprint_shares
 
 CELL_M = 0.75
 HEIGHT_M = 0.7  # of a vehicle's middle
@@ -148,7 +149,9 @@ def _taps() -> tuple[Float[Array, "tap 3"], Array]:
     taps, start = [], [0]
     for length, width in FOOTPRINTS_M:
         for k in range(DIRECTIONS):
-            taps.append(_footprint(length, width, math.pi * k / DIRECTIONS))
+            share = footprint_shares(length, width, CELL_M, math.pi * k / DIRECTIONS, 8)
+            i, j = np.nonzero(share)
+            taps.append(np.stack([i - len(share) // 2, j - len(share) // 2, share[i, j]], axis=1))
             start.append(start[-1] + len(taps[-1]))
     return np.concatenate(taps), np.array(start)
 
@@ -162,21 +165,6 @@ def _explained() -> Float[Array, "template 3"]:
             for k in range(DIRECTIONS)
         ]
     )
-
-
-def _footprint(length_m: float, width_m: float, direction_rad: float) -> Float[Array, "tap 3"]:
-    """Cells of a rectangle, each with the share of its 8 × 8 points inside."""
-    half = math.ceil(length_m / 2 / CELL_M) + 1
-    fine = (np.arange(8) + 0.5) / 8 - 0.5
-    steps = (np.arange(-half, half + 1)[:, None] + fine).ravel() * CELL_M
-    down, right = np.meshgrid(steps, steps, indexing="ij")
-    c, s = math.cos(direction_rad), math.sin(direction_rad)
-    along, across = right * c - down * s, right * s + down * c
-    inside = (np.abs(along) <= length_m / 2) & (np.abs(across) <= width_m / 2)
-    side = 2 * half + 1
-    weight = inside.reshape(side, 8, side, 8).mean(axis=(1, 3))
-    i, j = np.nonzero(weight > 0)
-    return np.stack([i - half, j - half, weight[i, j]], axis=1)
 
 
 @nb.njit(cache=True, forceinline=True, error_model="numpy")

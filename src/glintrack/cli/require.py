@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from glintrack.metrics.requirement import Judged, Requirement, in_a_sentence
+from glintrack.metrics.requirement import Assessment, Requirement, describe_assessment
 
 EXIT_CODES = {"yes": 0, "no": 1, "undecided": 3}
 
@@ -21,14 +21,14 @@ RequireOption = Annotated[
 ]
 
 
-def tell(console: Console, judged: Sequence[tuple[Requirement, Judged]]) -> None:
+def tell(console: Console, judged: Sequence[tuple[Requirement, Assessment]]) -> None:
     """A sentence each; exits unless all requirements are met."""
     for requirement, found in judged:
-        console.print(in_a_sentence(requirement, found), soft_wrap=True, markup=False)
+        console.print(describe_assessment(requirement, found), soft_wrap=True, markup=False)
     exit_by([found for _, found in judged])
 
 
-def exit_by(judged: Sequence[Judged]) -> None:
+def exit_by(judged: Sequence[Assessment]) -> None:
     """Exit with 1 if something is not met, with 3 if something is undecided."""
     answers = {found.answer for found in judged}
     for answer in ("no", "undecided"):

@@ -26,7 +26,7 @@ from glintrack.core.parallel import compilation
 from glintrack.core.units import format_duration
 from glintrack.io.atomic import check_new_folder, listing
 from glintrack.io.toml import toml_value
-from glintrack.metrics.requirement import Judged, Requirement, judge_flight, read_requirement
+from glintrack.metrics.requirement import Assessment, Requirement, assess_flight, read_requirement
 from glintrack.metrics.rows import score_epochs
 from glintrack.results.epoch import Epoch
 from glintrack.results.figures import LOOP_COLOURS
@@ -155,12 +155,12 @@ def _judged(
     requirement: Requirement,
     channel: str,
     window_m: Sequence[tuple[float, float, float, float]],
-) -> Judged:
+) -> Assessment:
     """A requirement by the tracks as they are told; no window where no frame was flown."""
     if not window_m:
-        return judge_flight(requirement, [])
+        return assess_flight(requirement, [])
     tracks, truth = tree[f"{channel}/tracks"].to_dataset(), tree["truth"].to_dataset()
-    return judge_flight(requirement, score_epochs(tracks, truth, window_m[0]))
+    return assess_flight(requirement, score_epochs(tracks, truth, window_m[0]))
 
 
 def _conclude(console: Console, result: Result, total_s: float) -> None:

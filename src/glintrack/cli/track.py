@@ -23,7 +23,7 @@ from glintrack.track import TrackDesign
 from glintrack.track.files import (
     DETECTIONS_DESIGN,
     FRAMES_DESIGN,
-    LEAST_FRAMES,
+    MIN_FRAMES,
     as_rows,
     frames_design,
     strict_design,
@@ -141,9 +141,9 @@ def track_files(
         )
         rows = as_rows(_noting(times, reports))
         times_s = sorted(times)
-        if wanted.detect.detector == FRAMES_DESIGN.detect.detector and len(times_s) < LEAST_FRAMES:
+        if wanted.detect.detector == FRAMES_DESIGN.detect.detector and len(times_s) < MIN_FRAMES:
             raise ValueError(
-                f"`frames` must be at least {LEAST_FRAMES}, through which a vehicle is seen to move, "
+                f"`frames` must be at least {MIN_FRAMES}, through which a vehicle is seen to move, "
                 f"got {len(times_s)} in {source}"
             )
         place = _place_of(grids, crs or frames.crs, times_s)

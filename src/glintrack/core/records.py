@@ -66,31 +66,6 @@ class Mosaic:
 
 
 @dataclass(frozen=True)
-class Detection:
-    """One blob of change in one rectified frame.
-
-    Parameters
-    ----------
-    east_m, north_m
-        Centroid. [m]
-    east_var_m2, north_var_m2, east_north_cov_m2
-        Covariance of the centroid. [m²]
-    extent_m
-        Diameter of the disc of equal area. [m]
-    contrast
-        Peak of the change statistic over its threshold. [1]
-    """
-
-    east_m: float
-    north_m: float
-    east_var_m2: float
-    north_var_m2: float
-    east_north_cov_m2: float = 0.0
-    extent_m: float = 0.0
-    contrast: float = 1.0
-
-
-@dataclass(frozen=True)
 class SpectralQuery:
     """The tracker's wish for the spectrum of one ground point, in the next frame or at once.
 

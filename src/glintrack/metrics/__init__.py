@@ -1,11 +1,10 @@
-"""Scores of tracks and pictures against the truth."""
+"""Scores of tracks and images against the truth."""
 
 from glintrack.core.schema import MOVING_SPEED_M_S
-from glintrack.metrics.multi_object import Similarity, gospa, multi_object_scores, ospa, point_similarity
+from glintrack.metrics.multi_object import gospa, multi_object_scores, ospa, point_similarity
 from glintrack.metrics.quality import (
     QUALITY_UNITS,
     aop_error,
-    dolp_error,
     frame_quality,
     mtf,
     psnr,
@@ -14,7 +13,6 @@ from glintrack.metrics.quality import (
     rmse,
     snr,
     spectral_angle,
-    spectral_rmse,
     ssim,
 )
 from glintrack.metrics.rows import score_epochs, score_rows, score_tables
@@ -45,47 +43,10 @@ from glintrack.metrics.tracks import (
 )
 
 __all__ = [
-    "HEADLINE",
-    "MATCH_DISTANCE_M",
-    "MOVING_SPEED_M_S",
-    "QUALITY_UNITS",
-    "VISIBLE_FRACTION",
-    "EpochScore",
-    "Similarity",
-    "aop_error",
-    "completeness",
-    "custody",
-    "dolp_error",
-    "frame_quality",
-    "gospa",
-    "identity_switches",
-    "idf1_moving",
-    "is_in_window",
-    "is_moving",
-    "is_visible",
-    "match",
-    "median_time_to_loss",
-    "mtf",
-    "multi_object_scores",
-    "near_pairs",
-    "ospa",
-    "point_similarity",
-    "psnr",
-    "purity",
-    "registration_error",
-    "registration_error_px",
-    "rmse",
-    "running_purity",
-    "same_track_after",
-    "score_epoch",
-    "score_epochs",
-    "score_rows",
-    "score_tables",
-    "snr",
-    "spectral_angle",
-    "spectral_rmse",
-    "ssim",
-    "summarize",
-    "vehicle_purity",
-    "window_km2",
-]
+    "HEADLINE", "MATCH_DISTANCE_M", "MOVING_SPEED_M_S", "QUALITY_UNITS", "VISIBLE_FRACTION", "EpochScore",
+    "aop_error", "completeness", "custody", "frame_quality", "gospa", "identity_switches", "idf1_moving",
+    "is_in_window", "is_moving", "is_visible", "match", "median_time_to_loss", "mtf", "multi_object_scores",
+    "near_pairs", "ospa", "point_similarity", "psnr", "purity", "registration_error", "registration_error_px",
+    "rmse", "running_purity", "same_track_after", "score_epoch", "score_epochs", "score_rows", "score_tables",
+    "snr", "spectral_angle", "ssim", "summarize", "vehicle_purity", "window_km2",
+]  # fmt: skip

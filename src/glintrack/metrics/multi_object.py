@@ -25,14 +25,14 @@ _STAY = 1000.0  # a match of the epoch before outweighs any similarity
 
 @dataclass(frozen=True)
 class Similarity:
-    """Vehicles and tracks of one epoch, and how alike they are.
+    """Vehicles and tracks of one epoch, and their similarity.
 
     Parameters
     ----------
     vehicles, tracks
         Ids.
     similarity
-        1 where they coincide, 0 where they have nothing in common. [1]
+        1 at the same position, 0 without overlap. [1]
     """
 
     vehicles: Int[Array, "vehicle"]
@@ -53,43 +53,41 @@ def point_similarity(
 
 
 def multi_object_scores(epochs: Sequence[Similarity]) -> dict[str, float]:
-    """Scores of a whole run; the same as TrackEval's on the same similarities.
+    """Compute the scores of a whole run; equal to TrackEval's on the same similarities.
 
     Returns
     -------
     ``mota``, ``motp`` (mean similarity of matches), ``idf1``, ``hota``, ``deta``, ``assa`` [1]. Where there
-    are neither vehicles nor tracks they are 0, as TrackEval has it.
+    are neither vehicles nor tracks they are 0, as in TrackEval.
     """
     return {**_clear(epochs), **_identity(epochs), **_hota(epochs)}
 
 
 def idf1(epochs: Sequence[Similarity]) -> float:
-    """IDF1 alone, as `multi_object_scores` has it. [1]"""
+    """IDF1 alone; see `multi_object_scores`. [1]"""
     return _identity(epochs)["idf1"]
 
 
-@dataclass(frozen=True)
 class _Numbered:
     """Epochs whose vehicles and tracks are numbered without gaps.
 
-    A long flight has thousands of each, few of which ever meet: what is counted of pairs is counted of those
-    that do, never of all.
-
-    Parameters
-    ----------
-    rows
-        Vehicle and track numbers of each epoch, and their similarity.
-    vehicles, tracks
-        How many there are.
+    A long flight has thousands of each, few of which ever meet. Pairs are therefore counted only if they
+    meet.
     """
 
-    rows: list[tuple[Array, Array, Array]]
-    vehicles: int
-    tracks: int
+    def __init__(self, epochs: Sequence[Similarity]) -> None:
+        none = np.empty(0, int)
+        vehicles = np.unique(np.concatenate([e.vehicles for e in epochs] or [none]))
+        tracks = np.unique(np.concatenate([e.tracks for e in epochs] or [none]))
+        self.rows = [
+            (np.searchsorted(vehicles, e.vehicles), np.searchsorted(tracks, e.tracks), e.similarity)
+            for e in epochs
+        ]
+        self.vehicles, self.tracks = len(vehicles), len(tracks)
 
-    def met(self, least: float) -> tuple[Int[Array, "pair"], list[tuple[Array, Array, Array]]]:
-        """Codes of pairs that are ever so similar, rising; of each epoch rows, columns, and which pairs."""
-        places = [np.nonzero(similarity >= least) for _, _, similarity in self.rows]
+    def pairs(self, minimum: float) -> tuple[Int[Array, "pair"], list[tuple[Array, Array, Array]]]:
+        """Codes of pairs with at least this similarity; rows, columns and pairs of each epoch."""
+        places = [np.nonzero(similarity >= minimum) for _, _, similarity in self.rows]
         codes = [v[i] * self.tracks + t[j] for (v, t, _), (i, j) in zip(self.rows, places, strict=True)]
         known = np.unique(np.concatenate([*codes, np.empty(0, int)]).astype(int))
         return known, [
@@ -97,18 +95,8 @@ class _Numbered:
         ]
 
 
-def _numbered(epochs: Sequence[Similarity]) -> _Numbered:
-    vehicle_ids = np.unique(np.concatenate([e.vehicles for e in epochs] or [np.empty(0, int)]))
-    track_ids = np.unique(np.concatenate([e.tracks for e in epochs] or [np.empty(0, int)]))
-    rows = [
-        (np.searchsorted(vehicle_ids, e.vehicles), np.searchsorted(track_ids, e.tracks), e.similarity)
-        for e in epochs
-    ]
-    return _Numbered(rows, len(vehicle_ids), len(track_ids))
-
-
 def _clear(epochs: Sequence[Similarity]) -> dict[str, float]:
-    numbered = _numbered(epochs)
+    numbered = _Numbered(epochs)
     last, before = np.full((2, numbered.vehicles), -1)  # track when last matched, and one epoch ago
     hits = misses = false = switches = 0
     total = 0.0
@@ -119,8 +107,8 @@ def _clear(epochs: Sequence[Similarity]) -> dict[str, float]:
         gain = _STAY * (t[None] == before[v][:, None]) + similarity
         gain[similarity < SAME - _ROUNDING] = 0
         i, j = linear_sum_assignment(-gain)
-        kept = gain[i, j] > _ROUNDING
-        i, j = i[kept], j[kept]
+        matched = gain[i, j] > _ROUNDING
+        i, j = i[matched], j[matched]
         switches += int(((last[v[i]] >= 0) & (last[v[i]] != t[j])).sum())
         before[:] = -1
         before[v[i]] = last[v[i]] = t[j]
@@ -133,31 +121,23 @@ def _clear(epochs: Sequence[Similarity]) -> dict[str, float]:
 
 
 def _identity(epochs: Sequence[Similarity]) -> dict[str, float]:
-    numbered = _numbered(epochs)
-    pairs, places = numbered.met(SAME)
+    numbered = _Numbered(epochs)
+    pairs, places = numbered.pairs(SAME)
     together = np.bincount(np.concatenate([which for _, _, which in places] or [pairs]), minlength=len(pairs))
     seen = sum(len(v) for v, _, _ in numbered.rows)
     reported = sum(len(t) for _, t, _ in numbered.rows)
-    true = _most_together(*np.divmod(pairs, max(1, numbered.tracks)), together)
-    return {"idf1": float(true / max(1, 0.5 * (seen + reported)))}
-
-
-def _most_together(
-    vehicle: Int[Array, "pair"], track: Int[Array, "pair"], together: Int[Array, "pair"]
-) -> int:
-    """Most epochs that a one-to-one choice of pairs is together; groups that no pair joins one by one."""
-    most = 0
-    for one in connected_components(vehicle, track):
+    true, (vehicle, track) = 0, np.divmod(pairs, max(1, numbered.tracks))
+    for one in connected_components(vehicle, track):  # one-to-one choice of pairs, group by group
         (_, i), (_, j) = (np.unique(side[one], return_inverse=True) for side in (vehicle, track))
         table = np.zeros((i.max() + 1, j.max() + 1))
         table[i, j] = together[one]
-        most += int(table[linear_sum_assignment(-table)].sum())
-    return most
+        true += int(table[linear_sum_assignment(-table)].sum())
+    return {"idf1": float(true / max(1, 0.5 * (seen + reported)))}
 
 
 def _hota(epochs: Sequence[Similarity]) -> dict[str, float]:
-    numbered = _numbered(epochs)
-    pairs, places = numbered.met(_ROUNDING)
+    numbered = _Numbered(epochs)
+    pairs, places = numbered.pairs(_ROUNDING)
     together, lives, lengths = (np.zeros(n) for n in (len(pairs), numbered.vehicles, numbered.tracks))
     for (v, t, similarity), (i, j, which) in zip(numbered.rows, places, strict=True):
         shared = similarity.sum(axis=0)[None] + similarity.sum(axis=1)[:, None] - similarity
@@ -174,11 +154,11 @@ def _hota(epochs: Sequence[Similarity]) -> dict[str, float]:
         gain[i, j], pair[i, j] = alignment[which] * similarity[i, j], which
         i, j = linear_sum_assignment(-gain)
         for a, alpha in enumerate(ALPHAS):
-            kept = similarity[i, j] >= alpha - _ROUNDING
-            hits[a] += kept.sum()
-            misses[a] += len(v) - kept.sum()
-            false[a] += len(t) - kept.sum()
-            matched[a, pair[i[kept], j[kept]]] += 1
+            hit = similarity[i, j] >= alpha - _ROUNDING
+            hits[a] += hit.sum()
+            misses[a] += len(v) - hit.sum()
+            false[a] += len(t) - hit.sum()
+            matched[a, pair[i[hit], j[hit]]] += 1
     detection = hits / np.maximum(1, hits + misses + false)
     association = np.array(
         [(m * m / np.maximum(1, either - m)).sum() / max(1, n) for m, n in zip(matched, hits, strict=True)]
@@ -200,7 +180,7 @@ def ospa(
     n, m = len(vehicle_m), len(track_m)
     if max(n, m) == 0:
         return 0.0
-    near, _ = _matched_power(vehicle_m, track_m, cutoff_m, order)
+    near, _ = _match_power(vehicle_m, track_m, cutoff_m, order)
     return float(((near + cutoff_m**order * abs(n - m)) / max(n, m)) ** (1 / order))
 
 
@@ -212,13 +192,13 @@ def gospa(
 ) -> float:
     """Generalized OSPA of one epoch, α = 2: each missed vehicle and false track costs half the cutoff. [m]"""
     n, m = len(vehicle_m), len(track_m)
-    total, pairs = _matched_power(vehicle_m, track_m, cutoff_m, order)
+    total, pairs = _match_power(vehicle_m, track_m, cutoff_m, order)
     near = total - cutoff_m**order * (min(n, m) - pairs)  # pairs at the cutoff are no pairs
     return float((near + cutoff_m**order / 2 * (n + m - 2 * pairs)) ** (1 / order))
 
 
-def _matched_power(vehicle_m, track_m, cutoff_m: float, order: float) -> tuple[float, int]:
-    """Least sum of cut-off distances to the order over a one-to-one assignment, and how many are nearer."""
+def _match_power(vehicle_m, track_m, cutoff_m: float, order: float) -> tuple[float, int]:
+    """Minimum sum of limited distances to the order over an assignment, and the number below the limit."""
     if min(len(vehicle_m), len(track_m)) == 0:
         return 0.0, 0
     distance = np.hypot(*(vehicle_m[:, None] - track_m[None]).transpose(2, 0, 1))

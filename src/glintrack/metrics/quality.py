@@ -1,4 +1,4 @@
-"""Quality of one frame against its noiseless truth: picture, sharpness, place, polarization, spectra."""
+"""Quality of one frame against its noiseless truth: image, sharpness, registration, polarization, spectra."""
 
 import math
 
@@ -12,10 +12,10 @@ from glintrack.core.arrays import Array
 from glintrack.core.schema import RADIANCE, check
 from glintrack.stokes import aop, dolp
 
-_SSIM_SIGMA_PX = 1.5  # as the authors of the index use it, with K = 0.01 and 0.03
+_SSIM_SIGMA_PX = 1.5  # as in the original paper, with K = 0.01 and 0.03
 _SSIM_REACH = 3.5
 _SSIM_K = (0.01, 0.03)
-# what `frame_quality` measures, and in what
+# scores of `frame_quality` and their units
 QUALITY_UNITS = {
     "rmse": RADIANCE,
     "psnr": "dB",
@@ -40,22 +40,23 @@ def frame_quality(
     spectra: xr.Dataset | None = None,
     true_spectra: Array | None = None,
 ) -> dict[str, float]:
-    """Every figure of `QUALITY_UNITS` for one rectified frame.
+    """Compute the scores of `QUALITY_UNITS` for one rectified frame.
 
     Parameters
     ----------
     image
-        Schema ``image``, as the tracker sees it.
+        Schema ``image``: the tracker's input.
     truth
-        Schema ``image`` on the same grid: the light without noise, blur and mosaic, placed by the true pose.
+        Schema ``image`` on the same grid: the light without noise, blur and mosaic, rectified with the true
+        pose.
     camera, true_pose, reported_pose
-        For the error of registration on level ground at nought.
+        Camera and poses, for the registration error on level ground at 0 m.
     spectra, true_spectra
-        Schema ``spectra``, and what a noiseless spectrometer would have measured, row by row. [radiance]
+        Schema ``spectra``, and the spectra of a noiseless spectrometer, row by row. [radiance]
 
     Returns
     -------
-    NaN where there is nothing to measure.
+    Scores; NaN for one without data.
     """
     check(image, "image")
     check(truth, "image")
@@ -68,14 +69,14 @@ def frame_quality(
         measured = spectra["radiance"].values
         angles = spectral_angle(measured, true_spectra)
         angle = float(np.nanmean(angles)) if np.isfinite(angles).any() else angle
-        spectral = spectral_rmse(measured, true_spectra)
+        spectral = rmse(measured, true_spectra)
     return {
         "rmse": rmse(pan, true_pan),
         "psnr": psnr(pan, true_pan),
         "ssim": ssim(pan, true_pan),
         "snr": snr(pan, true_pan),
         "mtf_quarter": float(np.interp(0.25, frequency, transfer)),  # half way to the grid's limit
-        "dolp_rmse": dolp_error(stokes, true_stokes, floor),
+        "dolp_rmse": rmse(dolp(stokes, floor), dolp(true_stokes, floor)),
         "aop_rmse": aop_error(stokes, true_stokes, floor=floor),
         "registration_error": registration_error(camera, true_pose, reported_pose),
         "registration_error_px": registration_error_px(camera, true_pose, reported_pose),
@@ -85,21 +86,21 @@ def frame_quality(
 
 
 def rmse(image: Float[Array, "*pixel"], truth: Float[Array, "*pixel"]) -> float:
-    """Root mean square difference over what both have; NaN if they share nothing. [unit of the image]"""
+    """Root mean square difference over shared data; NaN without any. [unit of the image]"""
     difference = np.asarray(image, float) - np.asarray(truth, float)
     difference = difference[np.isfinite(difference)]
     return float(np.sqrt(np.mean(difference**2))) if difference.size else float("nan")
 
 
 def psnr(image: Float[Array, "*pixel"], truth: Float[Array, "*pixel"], peak: float | None = None) -> float:
-    """Peak signal-to-noise ratio, 20 log₁₀(peak/RMSE); infinite for equal pictures. [dB]
+    """Peak signal-to-noise ratio, 20 log₁₀(peak/RMSE); infinite for equal images. [dB]
 
     Parameters
     ----------
     image, truth
         NaN where there is no data.
     peak
-        Range of the values; that of the truth where both have data if left out. [unit of the image]
+        Range of the values; by default that of the truth where both have data. [unit of the image]
     """
     if peak is None:
         shared = np.asarray(truth, float)[np.isfinite(image) & np.isfinite(truth)]
@@ -109,14 +110,14 @@ def psnr(image: Float[Array, "*pixel"], truth: Float[Array, "*pixel"], peak: flo
 
 
 def ssim(image: Float[Array, "y x"], truth: Float[Array, "y x"], peak: float | None = None) -> float:
-    """Structural similarity, mean over what both have around; 1 for equal pictures. [1]
+    """Structural similarity, mean over shared data; 1 for equal images. [1]
 
     Parameters
     ----------
     image, truth
-        NaN where there is no data; pixels whose window of 11 × 11 holds some are left out.
+        NaN without data; pixels with such data in their window of 11 × 11 are left out.
     peak
-        Range of the values; that of the truth if left out. [unit of the image]
+        Range of the values; by default that of the truth. [unit of the image]
 
     References
     ----------
@@ -137,16 +138,16 @@ def ssim(image: Float[Array, "y x"], truth: Float[Array, "y x"], peak: float | N
     c1, c2 = ((k * peak) ** 2 for k in _SSIM_K)
     index = (2 * mx * my + c1) * (2 * cov + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))
     reach = int(_SSIM_REACH * _SSIM_SIGMA_PX + 0.5)
-    whole = np.pad(both, reach)  # the border counts as no data
+    whole = np.pad(both, reach)  # the border has no data
     lines = np.lib.stride_tricks.sliding_window_view(whole, 2 * reach + 1, axis=0).all(axis=-1)
     inside = np.lib.stride_tricks.sliding_window_view(lines, 2 * reach + 1, axis=1).all(axis=-1)
     return float(index[inside].mean()) if inside.any() else float("nan")
 
 
 def snr(image: Float[Array, "*pixel"], truth: Float[Array, "*pixel"]) -> float:
-    """Signal-to-noise ratio, 20 log₁₀ of the truth's mean over the RMS of the rest. [dB]
+    """Signal-to-noise ratio, 20 log₁₀ of the truth's mean over the standard deviation of the noise. [dB]
 
-    The rest is what is left of the difference less its mean: a bias is no noise.
+    The noise is the difference less its mean: a bias is no noise.
     """
     shared = np.isfinite(image) & np.isfinite(truth)
     if not shared.any():
@@ -161,8 +162,8 @@ def mtf(
 ) -> tuple[Float[Array, "frequency"], Float[Array, "frequency"]]:
     """Modulation transfer from the truth to the image, averaged over directions.
 
-    The share of the image's spectrum that goes with the truth's, Re⟨F·G*⟩/⟨|G|²⟩: noise that knows nothing of
-    the truth averages out.
+    The share of the image's spectrum that correlates with the truth's, Re⟨F·G*⟩/⟨|G|²⟩: uncorrelated noise
+    averages out.
 
     Parameters
     ----------
@@ -195,80 +196,54 @@ def mtf(
     return (np.arange(bins) + 0.5) / (2 * bins), transfer
 
 
-def registration_error(camera: Camera, true_pose: Pose, reported_pose: Pose, ground_m: float = 0.0) -> float:
-    """RMS misplacement on level ground of what the reported pose puts there. [m]
-
-    Parameters
-    ----------
-    camera, true_pose, reported_pose
-        The camera, where it is, and where the navigator says it is.
-    ground_m
-        Height of the ground. [m]
-    """
-    pixels = _pixels_over(camera)
-    true = ground_points(camera, true_pose, pixels, ground_m)
-    claimed = ground_points(camera, reported_pose, pixels, ground_m)
-    return rmse(np.linalg.norm(claimed - true, axis=-1), np.zeros(pixels.shape[:2]))
+def registration_error(camera: Camera, true_pose: Pose, reported_pose: Pose) -> float:
+    """RMS position error on level ground at 0 m from the reported pose. [m]"""
+    pixels = _pixel_lattice(camera)
+    true, reported = (ground_points(camera, pose, pixels) for pose in (true_pose, reported_pose))
+    return rmse(np.linalg.norm(reported - true, axis=-1), np.zeros(pixels.shape[:2]))
 
 
-def registration_error_px(
-    camera: Camera, true_pose: Pose, reported_pose: Pose, ground_m: float = 0.0
-) -> float:
-    """RMS over the frame of where a ground point is and where the reported pose looks for it. [element]"""
-    pixels = _pixels_over(camera)
-    sought = project(camera, reported_pose, ground_points(camera, true_pose, pixels, ground_m))
-    return rmse(np.linalg.norm(sought - pixels, axis=-1), np.zeros(pixels.shape[:2]))
+def registration_error_px(camera: Camera, true_pose: Pose, reported_pose: Pose) -> float:
+    """RMS distance in the frame of ground points from their positions by the reported pose. [element]"""
+    pixels = _pixel_lattice(camera)
+    reported = project(camera, reported_pose, ground_points(camera, true_pose, pixels))
+    return rmse(np.linalg.norm(reported - pixels, axis=-1), np.zeros(pixels.shape[:2]))
 
 
-def _pixels_over(camera: Camera, side: int = 9) -> Float[Array, "side side 2"]:
+def _pixel_lattice(camera: Camera, side: int = 9) -> Float[Array, "side side 2"]:
     """Pixels spread evenly over the frame."""
     rows, columns = np.linspace(0, camera.rows - 1, side), np.linspace(0, camera.columns - 1, side)
     return np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
 
 
-def dolp_error(
-    stokes: Float[Array, "*pixel s"], truth: Float[Array, "*pixel s"], floor: float = 0.0
-) -> float:
-    """RMS error of the degree of linear polarization. [1]
-
-    Parameters
-    ----------
-    stokes, truth
-        Stokes vectors in one reference axis. [radiance]
-    floor
-        Pixels whose S0 is at or below this in either are left out. [radiance]
-    """
-    return rmse(dolp(stokes, floor), dolp(truth, floor))
-
-
 def aop_error(
     stokes: Float[Array, "*pixel s"],
     truth: Float[Array, "*pixel s"],
-    least_dolp: float = 0.05,
+    min_dolp: float = 0.05,
     floor: float = 0.0,
 ) -> float:
-    """RMS error of the angle of polarization, the short way round. [rad]
+    """RMS error of the angle of polarization, modulo π. [rad]
 
     Parameters
     ----------
     stokes, truth
         Stokes vectors in one reference axis. [radiance]
-    least_dolp
-        Pixels whose true DoLP is less are left out: their angle means nothing. [1]
+    min_dolp
+        Pixels whose true DoLP is less are left out: their angle is undefined. [1]
     floor
         Pixels whose S0 is at or below this in either are left out. [radiance]
     """
-    meant = (dolp(truth, floor) >= least_dolp) & np.isfinite(dolp(stokes, floor))
-    turned = np.remainder(aop(stokes) - aop(truth) + np.pi / 2, np.pi) - np.pi / 2
-    return rmse(np.where(meant, turned, np.nan), np.zeros(meant.shape))
+    valid = (dolp(truth, floor) >= min_dolp) & np.isfinite(dolp(stokes, floor))
+    error = np.remainder(aop(stokes) - aop(truth) + np.pi / 2, np.pi) - np.pi / 2
+    return rmse(np.where(valid, error, np.nan), np.zeros(valid.shape))
 
 
 def spectral_angle(
     measured: Float[Array, "*spectrum wavelength"], truth: Float[Array, "*spectrum wavelength"]
 ) -> Float[Array, "*spectrum"]:
-    """Angle between spectra as vectors, blind to brightness (SAM). [rad]
+    """Angle between spectra as vectors, independent of brightness (SAM). [rad]
 
-    NaN where a spectrum has a gap or is nought.
+    NaN for a spectrum with a gap or without radiance.
 
     References
     ----------
@@ -280,10 +255,3 @@ def spectral_angle(
         b = b / np.linalg.norm(b, axis=-1, keepdims=True)
     # half the chord: no loss of digits at small angles, as the arc cosine has
     return 2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
-
-
-def spectral_rmse(
-    measured: Float[Array, "*spectrum wavelength"], truth: Float[Array, "*spectrum wavelength"]
-) -> float:
-    """RMS difference over all spectra and wavelengths that both have. [unit of the spectra]"""
-    return rmse(measured, truth)

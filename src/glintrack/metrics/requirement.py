@@ -1,9 +1,9 @@
-"""Whether a score meets a requirement: yes, no, or undecided, and how many more flights would decide.
+"""Test a score against a requirement: yes, no, or undecided, and the number of flights that would decide.
 
-A flight's score m has Student's interval m ± t s: s is its standard error by the jackknife over equal parts
-of its time, t of one degree of freedom less than there are parts. A study brings the intervals of its report.
-What lies on one side of the limit with all of its interval is decided. Parts of one flight share their city:
-the interval says what more of the same traffic would bring, not what another city would.
+A flight's score m has Student's interval m ± t s. The standard error s is from the jackknife over equal parts
+of its time, with one degree of freedom less than there are parts. A study has the intervals of its report. A
+requirement is decided if the whole interval is on one side of the limit. Parts of one flight share their
+city: the interval holds for more of the same traffic, not for another city.
 """
 
 import math
@@ -19,10 +19,10 @@ from glintrack.core.schema import MIN_SCORED_S
 from glintrack.metrics.summary import summarize
 from glintrack.metrics.tracks import EpochScore
 
-PARTS = 6  # of a flight: ten seconds of a minute, in which a vehicle crosses a few streets
-LEAST_FRAMES = 2 * PARTS
+PARTS = 6  # of a flight: 10 s of a minute, in which a vehicle crosses a few streets
+MIN_FRAMES = 2 * PARTS
 CONFIDENCE = 0.95
-MOST_FLIGHTS = 1000
+MAX_FLIGHTS = 1000
 SHARES = ("completeness", "completeness_all", "completeness_visible", "custody", "purity", "idf1_moving",
           "same_track_after_10s")  # fmt: skip
 _TEXT = re.compile(r"\s*(?:(?P<channel>\w+)\.)?(?P<score>\w+)\s*(?P<sign><=|>=|<|>)\s*(?P<limit>\S+)\s*")
@@ -30,18 +30,18 @@ _TEXT = re.compile(r"\s*(?:(?P<channel>\w+)\.)?(?P<score>\w+)\s*(?P<sign><=|>=|<
 
 @dataclass(frozen=True)
 class Requirement:
-    """A limit that a score must keep.
+    """Limit of a score.
 
     Parameters
     ----------
     score
-        As `metrics.summarize` names it.
+        Name in `metrics.summarize`.
     at_least
-        Whether the score must reach the limit, or not pass it.
+        True for a minimum, False for a maximum.
     limit
-        In the score's unit.
+        Limit in the score's unit.
     channel
-        Whose; the one that holds most vehicles by default.
+        Tracking channel; by default the one with the most vehicles under track.
     """
 
     score: str
@@ -50,7 +50,7 @@ class Requirement:
     channel: str | None = None
 
     def check_channel(self, channels: Sequence[str]) -> None:
-        """Refuse a channel that is none of these."""
+        """Raise a ValueError if the channel is none of these."""
         if self.channel not in (None, *channels):
             known = ", ".join(channels)
             raise ValueError(
@@ -58,23 +58,24 @@ class Requirement:
             )
 
     def __str__(self) -> str:
-        """As it is read."""
+        """Return the text of the requirement."""
         of = f"{self.channel}." if self.channel else ""
         return f"{of}{self.score} {'>=' if self.at_least else '<='} {self.limit:g}"
 
 
 @dataclass(frozen=True)
-class Judged:
-    """What flights say of a requirement.
+class Assessment:
+    """Result of testing a requirement.
 
     Parameters
     ----------
     value, low, high
-        Of the score, with its interval of 95 %.
+        Score and its interval of 95 %.
     answer
         ``yes``, ``no`` or ``undecided``.
     more_flights
-        How many more like these would decide, if the value stays; None if decided, or if none of a thousand.
+        Number of further similar flights that would decide, if the value stays; None if decided, or above
+        `MAX_FLIGHTS`.
     """
 
     value: float
@@ -85,18 +86,18 @@ class Judged:
 
 
 def read_requirement(text: str) -> Requirement:
-    """A requirement as ``custody>=0.8`` or ``pan.false_per_km2<=40``.
+    """Read a requirement such as ``custody>=0.8`` or ``pan.false_per_km2<=40``.
 
     Raises
     ------
     ValueError
-        If it is not so written, names no score, or its limit is not a finite number.
+        If the text has another form, names no score, or its limit is not a finite number.
     """
     parts = _TEXT.fullmatch(text)
     if parts is None:
         raise ValueError(
-            f"`--require` must be SCORE>=NUMBER or SCORE<=NUMBER, as 'custody>=0.8', got {text[:80]!r} (in "
-            "quotes, or the shell takes what follows > for a file)"
+            f"`--require` must be SCORE>=NUMBER or SCORE<=NUMBER, as 'custody>=0.8', got {text[:80]!r} "
+            "(put it in quotes: the shell interprets >)"
         )
     known = summarize([])
     if parts["score"] not in known:
@@ -116,27 +117,27 @@ def read_requirement(text: str) -> Requirement:
     return Requirement(parts["score"], parts["sign"].startswith(">"), limit, channel)
 
 
-def judge_flight(requirement: Requirement, epochs: Sequence[EpochScore]) -> Judged:
-    """By the scores of one flight, epoch by epoch; undecided if it is `short`."""
-    if short(len(epochs), epochs[-1].time_s - epochs[0].time_s if epochs else 0.0):
+def assess_flight(requirement: Requirement, epochs: Sequence[EpochScore]) -> Assessment:
+    """Test a requirement with the scores of one flight; undecided if it `is_too_short`."""
+    if is_too_short(len(epochs), epochs[-1].time_s - epochs[0].time_s if epochs else 0.0):
         value = summarize(epochs)[requirement.score]
-        return Judged(value, math.nan, math.nan, "undecided")
+        return Assessment(value, math.nan, math.nan, "undecided")
     parts = np.array_split(np.arange(len(epochs)), PARTS)
 
-    def score(kept: Sequence[int]) -> float:
-        chosen = [epochs[k] for number in kept for k in parts[number]]
+    def score(selected: Sequence[int]) -> float:
+        chosen = [epochs[k] for number in selected for k in parts[number]]
         return summarize(chosen)[requirement.score]
 
-    return judge(requirement, *jackknife(score, len(parts)))
+    return assess(requirement, *jackknife(score, len(parts)))
 
 
-def short(frames: int, duration_s: float) -> bool:
-    """Whether a flight says nothing: parts of single frames, or too soon for a track to be told. [1, s]"""
-    return frames < LEAST_FRAMES or duration_s < MIN_SCORED_S
+def is_too_short(frames: int, duration_s: float) -> bool:
+    """Return True if a flight is too short for a test of requirements. [1, s]"""
+    return frames < MIN_FRAMES or duration_s < MIN_SCORED_S
 
 
 def jackknife(score: Callable[[Sequence[int]], float], parts: int) -> tuple[float, float, float]:
-    """A score of all parts with Student's interval, its standard error by leaving each out in turn."""
+    """Compute a score of all parts and Student's interval, with the standard error from leaving each out."""
     every = range(parts)
     left_out = np.array([score([k for k in every if k != part]) for part in every])
     left_out = left_out[np.isfinite(left_out)]
@@ -148,31 +149,31 @@ def jackknife(score: Callable[[Sequence[int]], float], parts: int) -> tuple[floa
     return value, value - reach, value + reach
 
 
-def judge(requirement: Requirement, value: float, low: float, high: float, flights: int = 1) -> Judged:
-    """A requirement by a score and its interval over so many flights; intervals shrink as 1/√flights."""
+def assess(requirement: Requirement, value: float, low: float, high: float, flights: int = 1) -> Assessment:
+    """Test a requirement with a score and its interval over flights; intervals shrink as 1/√flights."""
     if not (math.isfinite(low) and math.isfinite(high)):
-        return Judged(value, math.nan, math.nan, "undecided")
+        return Assessment(value, math.nan, math.nan, "undecided")
     limit, at_least = requirement.limit, requirement.at_least
     if low >= limit if at_least else high <= limit:
-        return Judged(value, low, high, "yes")
+        return Assessment(value, low, high, "yes")
     if high < limit if at_least else low > limit:
-        return Judged(value, low, high, "no")
+        return Assessment(value, low, high, "no")
     over, reach = abs(value - limit), value - low if value > limit else high - value
     more = flights * ((reach / over) ** 2 - 1) if over > 0 else math.inf
-    return Judged(value, low, high, "undecided", max(math.ceil(more), 1) if more <= MOST_FLIGHTS else None)
+    return Assessment(value, low, high, "undecided", max(math.ceil(more), 1) if more <= MAX_FLIGHTS else None)
 
 
-def in_a_sentence(requirement: Requirement, found: Judged) -> str:
-    """The answer first, then the figures behind it."""
+def describe_assessment(requirement: Requirement, found: Assessment) -> str:
+    """Describe an assessment in a sentence, with the answer first."""
     answer = {"yes": "Yes", "no": "No"}.get(found.answer, "Undecided")
     if not math.isfinite(found.low):
-        least = f"{LEAST_FRAMES} frames and {MIN_SCORED_S:g} s at least"
-        return f"{answer}: {requirement} is required, and the flight is too short to say ({least})."
+        least = f"at least {MIN_FRAMES} frames and {MIN_SCORED_S:g} s"
+        return f"{answer}: {requirement} is required; the flight is too short for an answer ({least})."
     interval = f"({found.low:.3g} to {found.high:.3g})"
-    said = f"{answer}: {requirement} is required, found is {found.value:.3g} {interval}"
+    text = f"{answer}: {requirement} is required; the score is {found.value:.3g} {interval}"
     if found.answer != "undecided":
-        return f"{said}."
+        return f"{text}."
     if found.more_flights is None:
-        return f"{said}; {MOST_FLIGHTS} more flights would not decide."
-    more = "one more flight" if found.more_flights == 1 else f"some {found.more_flights} more flights"
-    return f"{said}; {more} like it would decide."
+        return f"{text}; {MAX_FLIGHTS} more flights would not decide."
+    more = "one more flight" if found.more_flights == 1 else f"about {found.more_flights} more flights"
+    return f"{text}; {more} would decide."

@@ -1,12 +1,12 @@
-"""Scores of a whole run: completeness, Eq. (13), purity, Eq. (14), custody, and what the report leads with.
+"""Scores of a whole run: completeness, Eq. (13), purity, Eq. (14), custody, and the headline scores.
 
-Completeness and purity reward tracks that break and begin anew; custody does not: it is how long a vehicle
-stays under one and the same track. A vehicle's visible time is that in which it moves, lies in the window and
-can be seen. Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
+Completeness and purity do not fall when a track breaks and restarts. Custody does: it is the share of a
+vehicle's visible time under one track. In its visible time a vehicle moves, is in the window and is visible.
+Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -18,21 +18,20 @@ from glintrack.metrics.tracks import EpochScore, Over
 HEADLINE = ("held_per_km2", "completeness", "completeness_visible", "custody", "false_per_km2")
 
 DELAY_S = 10.0
-_SAME_TIME_S = 5e-3  # files round their times
+_SAME_TIME_S = 5e-3  # times in files are rounded
 
 
-def summarize(epochs: Sequence[EpochScore] | EpochScore) -> dict[str, float]:
-    """Scores of a whole run, means over its epochs; NaN where nothing could be scored.
+def summarize(epochs: Sequence[EpochScore]) -> dict[str, float]:
+    """Compute the scores of a whole run, means over its epochs; NaN for a score without data.
 
     Returns
     -------
     The headline: ``held_per_km2`` (moving vehicles of the window that have a track) [km⁻²], ``completeness``
-    of all movers, ``completeness_visible``, ``custody`` [1] and ``false_per_km2`` [km⁻²]. Beside it:
+    of all movers, ``completeness_visible``, ``custody`` [1] and ``false_per_km2`` [km⁻²]. Others:
     ``completeness_all``, ``purity`` [1], ``false_per_epoch``, ``tracks_per_epoch``, ``vehicles_per_epoch``
     (that should be tracked), ``identity_switches``, ``median_time_to_loss_s`` [s], ``same_track_after_10s``,
     ``idf1_moving``, ``position_rms_m`` of valid tracks [m], ``epochs``.
     """
-    epochs = as_sequence(epochs)
     errors = np.concatenate([e.distance_m[e.valid] for e in epochs]) if epochs else np.empty(0)
     return {
         "held_per_km2": _mean([e.valid.sum() / e.area_km2 for e in epochs]),
@@ -60,7 +59,7 @@ def _mean(values) -> float:
     return float(values.mean()) if values.size else float("nan")
 
 
-def completeness(epochs: Sequence[EpochScore] | EpochScore, over: Over = "moving") -> Float[Array, "time"]:
+def completeness(epochs: Sequence[EpochScore], over: Over = "moving") -> Float[Array, "time"]:
     """Completeness of each epoch, Eq. (13); NaN where no vehicle should be tracked. [1]
 
     Parameters
@@ -68,48 +67,44 @@ def completeness(epochs: Sequence[EpochScore] | EpochScore, over: Over = "moving
     epochs
         Scores in the order of time.
     over
-        Which vehicles count; see `EpochScore.completeness`.
+        Vehicles that count; see `EpochScore.completeness`.
     """
-    return np.array([epoch.completeness(over) for epoch in as_sequence(epochs)], dtype=float)
+    return np.array([epoch.completeness(over) for epoch in epochs], dtype=float)
 
 
-def purity(epochs: Sequence[EpochScore] | EpochScore) -> float:
+def purity(epochs: Sequence[EpochScore]) -> float:
     """Mean over vehicles of the purity of their tracks, Eq. (14); NaN if no track was matched twice. [1]
 
     A vehicle's purity is the epoch-weighted mean over the tracks whose majority vehicle it is.
     """
-    return _mean_purity(vehicle_purity(epochs))
+    return _mean([*vehicle_purity(epochs).values()])
 
 
-def running_purity(epochs: Sequence[EpochScore] | EpochScore) -> Float[Array, "time"]:
-    """`purity` of the epochs up to and with each, the last of which is the whole run's; NaN at first. [1]"""
+def running_purity(epochs: Sequence[EpochScore]) -> Float[Array, "time"]:
+    """`purity` of the epochs up to each, the last of which is the whole run's; NaN at first. [1]"""
     counts: dict[int, Counter[int]] = {}
-    out = []
-    for epoch in as_sequence(epochs):
-        _count_matches(counts, epoch)
-        out.append(_mean_purity(_purity_by_vehicle(counts)))
-    return np.array(out, dtype=float)
+    return np.array([_mean([*vehicle_purity([epoch], counts).values()]) for epoch in epochs], dtype=float)
 
 
-def vehicle_purity(epochs: Sequence[EpochScore] | EpochScore) -> dict[int, float]:
+def vehicle_purity(
+    epochs: Sequence[EpochScore], counts: dict[int, Counter[int]] | None = None
+) -> dict[int, float]:
     """Purity of each vehicle that is the majority vehicle of a track matched twice or more. [1]
 
     The epoch-weighted mean over such tracks; a tie goes to the smallest vehicle id.
+
+    Parameters
+    ----------
+    epochs
+        Scores in the order of time.
+    counts
+        Number of earlier matches of each track with each vehicle; those of the epochs are added to it.
     """
-    counts: dict[int, Counter[int]] = {}
-    for epoch in as_sequence(epochs):
-        _count_matches(counts, epoch)
-    return _purity_by_vehicle(counts)
-
-
-def _count_matches(counts: dict[int, Counter[int]], epoch: EpochScore) -> None:
-    """Add an epoch's matches to the number of epochs at which each track is matched to each vehicle."""
-    for track, vehicle in zip(epoch.track_ids.tolist(), epoch.matched_vehicle.tolist(), strict=True):
-        if vehicle >= 0:
-            counts.setdefault(track, Counter())[vehicle] += 1
-
-
-def _purity_by_vehicle(counts: Mapping[int, Counter[int]]) -> dict[int, float]:
+    counts = {} if counts is None else counts
+    for epoch in epochs:
+        for track, vehicle in zip(epoch.track_ids.tolist(), epoch.matched_vehicle.tolist(), strict=True):
+            if vehicle >= 0:
+                counts.setdefault(track, Counter())[vehicle] += 1
     majority, matched = Counter(), Counter()
     for vehicles in counts.values():
         total = vehicles.total()
@@ -120,15 +115,11 @@ def _purity_by_vehicle(counts: Mapping[int, Counter[int]]) -> dict[int, float]:
     return {vehicle: majority[vehicle] / matched[vehicle] for vehicle in sorted(matched)}
 
 
-def _mean_purity(by_vehicle: Mapping[int, float]) -> float:
-    return float(np.mean(list(by_vehicle.values()))) if by_vehicle else float("nan")
-
-
-def identity_switches(epochs: Sequence[EpochScore] | EpochScore) -> int:
-    """How often a vehicle is matched to another track than when it was last matched."""
+def identity_switches(epochs: Sequence[EpochScore]) -> int:
+    """Count the matches of a vehicle to another track than when it was last matched."""
     last: dict[int, int] = {}
     switches = 0
-    for epoch in as_sequence(epochs):
+    for epoch in epochs:
         for vehicle, track in zip(epoch.vehicle_ids.tolist(), epoch.matched_track.tolist(), strict=True):
             if track >= 0:
                 switches += last.get(vehicle, track) != track
@@ -136,36 +127,27 @@ def identity_switches(epochs: Sequence[EpochScore] | EpochScore) -> int:
     return switches
 
 
-def as_sequence(epochs: Sequence[EpochScore] | EpochScore) -> Sequence[EpochScore]:
-    """Epochs in a sequence, one alone too."""
-    return [epochs] if isinstance(epochs, EpochScore) else list(epochs)
-
-
 def custody(epochs: Sequence[EpochScore]) -> float:
-    """Share of the vehicles' visible time under one and the same track, a vehicle's best; NaN if none. [1]
+    """Share of the vehicles' visible time under one track each; NaN without visible vehicles. [1]
 
-    Of each vehicle the visible epochs at which it is matched to the track that has most of them, summed over
-    vehicles, over all visible epochs.
+    The visible epochs at which a vehicle is matched to the track that has most of them, summed over vehicles,
+    divided by all visible epochs.
     """
-    held: dict[int, Counter[int]] = {}
+    matches: dict[int, Counter[int]] = {}
     visible = 0
     for epoch in epochs:
         visible += int(epoch.visible.sum())
-        for vehicle, track in zip(
-            epoch.vehicle_ids[epoch.visible].tolist(),
-            epoch.matched_track[epoch.visible].tolist(),
-            strict=True,
-        ):
+        for vehicle, track in _visible_matches(epoch).items():
             if track >= 0:
-                held.setdefault(vehicle, Counter())[track] += 1
-    return sum(max(of.values()) for of in held.values()) / visible if visible else float("nan")
+                matches.setdefault(vehicle, Counter())[track] += 1
+    return sum(max(of.values()) for of in matches.values()) / visible if visible else float("nan")
 
 
 def median_time_to_loss(epochs: Sequence[EpochScore]) -> float:
-    """Median time a track keeps a moving vehicle of the window; NaN if more than half are never lost. [s]
+    """Median time from the start of a custody to its loss; NaN if more than half are never lost. [s]
 
-    From the first match of a track and a vehicle to the first epoch after their last. A vehicle that moved in
-    the window at no later epoch was not lost; such times count by the product limit.
+    From the first match of a track and a moving vehicle of the window to the first epoch after their last. A
+    vehicle that moved in the window at no later epoch was not lost; such times are censored (product limit).
 
     References
     ----------
@@ -183,17 +165,17 @@ def median_time_to_loss(epochs: Sequence[EpochScore]) -> float:
                 first.setdefault((vehicle, track), k)
                 last[vehicle, track] = k
     times = [epoch.time_s for epoch in epochs]
-    kept, lost = [], []
+    durations_s, lost = [], []
     for pair, k in last.items():
         is_lost = here[pair[0]] > k
-        kept.append(times[k + 1 if is_lost else k] - times[first[pair]])
+        durations_s.append(times[k + 1 if is_lost else k] - times[first[pair]])
         lost.append(is_lost)
-    return _product_limit_median(np.array(kept, float), np.array(lost, bool))
+    return _product_limit_median(np.array(durations_s, float), np.array(lost, bool))
 
 
 def _product_limit_median(times_s: Array, ended: Array) -> float:
-    """Least time at which the product-limit estimate of survival is at most a half; NaN if none is."""
-    if not np.isfinite(times_s).all():  # epochs of no stated time
+    """First time at which the product-limit estimate of survival is at most 0.5; NaN if there is none."""
+    if not np.isfinite(times_s).all():  # epochs without a time
         return float("nan")
     surviving = 1.0
     for time_s in np.unique(times_s[ended]):
@@ -205,9 +187,9 @@ def _product_limit_median(times_s: Array, ended: Array) -> float:
 
 
 def same_track_after(epochs: Sequence[EpochScore], delay_s: float = DELAY_S) -> float:
-    """P(same id): of the visible vehicles with a track, those that have the same later; NaN if none.
+    """Probability that a visible vehicle with a track has the same track later; NaN without data. [1]
 
-    Counted over all pairs of epochs so far apart at which the vehicle is visible. [1]
+    Counted over all pairs of epochs with this delay at which the vehicle is visible.
     """
     times = np.array([epoch.time_s for epoch in epochs])
     same = pairs = 0
@@ -215,15 +197,15 @@ def same_track_after(epochs: Sequence[EpochScore], delay_s: float = DELAY_S) -> 
         later = np.flatnonzero(np.abs(times - epoch.time_s - delay_s) <= _SAME_TIME_S)
         if not later.size:
             continue
-        then = _held(epochs[later[0]])
-        for vehicle, track in _held(epoch).items():
+        then = _visible_matches(epochs[later[0]])
+        for vehicle, track in _visible_matches(epoch).items():
             if track >= 0 and vehicle in then:
                 pairs += 1
                 same += then[vehicle] == track
     return same / pairs if pairs else float("nan")
 
 
-def _held(epoch: EpochScore) -> dict[int, int]:
+def _visible_matches(epoch: EpochScore) -> dict[int, int]:
     """Track of each visible vehicle, −1 for none."""
     seen = epoch.visible
     return dict(zip(epoch.vehicle_ids[seen].tolist(), epoch.matched_track[seen].tolist(), strict=True))

@@ -1,8 +1,8 @@
-"""Match tracks with vehicles at each epoch: which vehicles count, and which tracks are right or false.
+"""Match tracks with vehicles at each epoch: the vehicles that count, and the right and false tracks.
 
 At each epoch tracks and vehicles are matched one to one within 5 m: as many pairs as possible, and among
-those the least total distance. All vehicles take part, so that a track resting on a stopped vehicle is not
-lent to one that drives past. Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
+those the least total distance. All vehicles take part, so that a track on a stopped vehicle is not matched
+with another vehicle that drives past. Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
 
 A false track is reported, unmatched, and has no stopped or outside vehicle within the matching distance.
 """
@@ -27,26 +27,26 @@ AreaM = tuple[float, float, float, float]
 Over = Literal["moving", "visible", "all"]
 
 
-def is_moving(truth: xr.Dataset, least_m_s: float = MOVING_SPEED_M_S) -> Bool[Array, "vehicle"]:
-    """Vehicles at least this fast."""
-    return np.hypot(truth["east_speed"].values, truth["north_speed"].values) >= least_m_s
+def is_moving(truth: xr.Dataset, min_m_s: float = MOVING_SPEED_M_S) -> Bool[Array, "vehicle"]:
+    """Return True for vehicles at least this fast."""
+    return np.hypot(truth["east_speed"].values, truth["north_speed"].values) >= min_m_s
 
 
 def is_in_window(truth: xr.Dataset, area_m: AreaM) -> Bool[Array, "vehicle"]:
-    """Vehicles whose centre lies in (west, south, east, north), its edges included."""
+    """Return True for vehicles with their centre in (west, south, east, north), edges included."""
     west, south, east, north = area_m
     x, y = truth["east"].values, truth["north"].values
     return (x >= west) & (x <= east) & (y >= south) & (y <= north)
 
 
-def is_visible(truth: xr.Dataset, least: float = VISIBLE_FRACTION) -> Bool[Array, "vehicle"]:
-    """Vehicles of which the camera sees this part at least (`render.visible_fraction`).
+def is_visible(truth: xr.Dataset, min_fraction: float = VISIBLE_FRACTION) -> Bool[Array, "vehicle"]:
+    """Return True for vehicles with at least this visible fraction (`render.visible_fraction`).
 
-    All of them if the truth does not say.
+    All are visible in a truth without the variable.
     """
     if "visible_fraction" not in truth:
         return np.ones(truth["east"].shape, np.bool_)
-    return truth["visible_fraction"].values >= least
+    return truth["visible_fraction"].values >= min_fraction
 
 
 def window_km2(area_m: AreaM) -> float:
@@ -65,7 +65,7 @@ def window_km2(area_m: AreaM) -> float:
 
 @dataclass(frozen=True)
 class EpochScore:
-    """Tracks against truth at one epoch.
+    """Matches of tracks and truth at one epoch.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class EpochScore:
     should
         Vehicles that should be tracked: moving and inside the area, occluded or not.
     visible
-        Those of `should` that can be seen (all of them if the truth does not say).
+        Those of `should` that are visible.
     inside
         Vehicles inside the area, stopped ones included.
     matched_track
@@ -82,16 +82,16 @@ class EpochScore:
     matched_vehicle
         Vehicle id matched to each track, −1 for none.
     distance_m
-        Of each track to its matched vehicle, NaN for none. [m]
+        Distance of each track to its matched vehicle, NaN for none. [m]
     valid, false
-        Of each track. A track matched to a stopped vehicle or one outside the area, or unmatched with such a
-        vehicle within the matching distance, is neither.
+        Masks of the right and of the false tracks. A track matched to a stopped vehicle or one outside the
+        area, or unmatched with such a vehicle within the matching distance, is neither.
     near
-        Track and vehicle, by their places in the arrays above, of every pair within the matching distance.
+        Indices of track and vehicle of every pair within the matching distance.
     time_s
-        When; NaN if nobody said. [s]
+        Epoch; NaN if unknown. [s]
     area_km2
-        Of the window. [km²]
+        Area of the window. [km²]
     """
 
     vehicle_ids: Int[Array, "vehicle"]
@@ -138,17 +138,17 @@ def score_epoch(
     Parameters
     ----------
     tracks, truth
-        Datasets of the schemas ``tracks`` and ``truth``; the truth may carry ``visible_fraction``. [m]
+        Datasets of the schemas ``tracks`` and ``truth``; the truth may have ``visible_fraction``. [m]
     area_m
         Area of interest (west, south, east, north), its edges included. [m]
     match_distance_m
-        A track farther from a vehicle is not its track. [m]
+        Maximum distance of a track from its vehicle. [m]
     moving_speed_m_s
-        A vehicle at least this fast is moving. [m s⁻¹]
+        Minimum speed of a moving vehicle. [m s⁻¹]
     visible_fraction
-        A vehicle seen at least to this part is visible. [1]
+        Minimum visible fraction of a visible vehicle. [1]
     time_s
-        When; what custody says of time needs it. [s]
+        Epoch, which scores of custody over time need. [s]
 
     Raises
     ------
@@ -158,8 +158,8 @@ def score_epoch(
     schema.check(tracks, "tracks")
     schema.check(truth, "truth")
     vehicles = vehicles_of(truth, ids_of(truth, "vehicle"), area_m, moving_speed_m_s, visible_fraction)
-    places = ids_of(tracks, "track"), places_of(tracks)
-    return match_epoch(*places, vehicles, match_distance_m, time_s, window_km2(area_m))
+    ids = ids_of(tracks, "track")
+    return match_epoch(ids, positions_of(tracks), vehicles, match_distance_m, time_s, window_km2(area_m))
 
 
 @dataclass(frozen=True)
@@ -169,9 +169,9 @@ class Vehicles:
     Parameters
     ----------
     ids, place_m
-        Who, and where. [m]
+        Ids and positions. [m]
     should, visible, inside
-        As of `EpochScore`.
+        See `EpochScore`.
     """
 
     ids: Int[Array, "vehicle"]
@@ -180,10 +180,9 @@ class Vehicles:
     visible: Bool[Array, "vehicle"]
     inside: Bool[Array, "vehicle"]
 
-    def only(self, rows: Int[Array, "chosen"]) -> "Vehicles":
-        """Some of them."""
-        every = self.ids, self.place_m, self.should, self.visible, self.inside
-        return Vehicles(*(values[rows] for values in every))
+    def select(self, rows: Int[Array, "chosen"]) -> "Vehicles":
+        """Select the vehicles at some rows."""
+        return Vehicles(**{name: values[rows] for name, values in vars(self).items()})
 
 
 def vehicles_of(
@@ -193,10 +192,10 @@ def vehicles_of(
     moving_speed_m_s: float = MOVING_SPEED_M_S,
     visible_fraction: float = VISIBLE_FRACTION,
 ) -> Vehicles:
-    """What scores need of the truth; arguments as of `score_epoch`."""
+    """Select what scores need of the truth; arguments of `score_epoch`."""
     inside = is_in_window(truth, area_m)
     should = inside & is_moving(truth, moving_speed_m_s)
-    return Vehicles(ids, places_of(truth), should, should & is_visible(truth, visible_fraction), inside)
+    return Vehicles(ids, positions_of(truth), should, should & is_visible(truth, visible_fraction), inside)
 
 
 def match_epoch(
@@ -207,23 +206,23 @@ def match_epoch(
     time_s: float,
     area_km2: float,
 ) -> EpochScore:
-    """`score_epoch` of arrays that are known to be right."""
+    """Match the arrays of one epoch; see `score_epoch`."""
     v, should = vehicles.place_m, vehicles.should
     near, distance = near_pairs(track_m, v, match_distance_m)
-    kept = match(near, distance, match_distance_m)
-    rows, columns = near[kept].T
+    chosen = match(near, distance, match_distance_m)
+    rows, columns = near[chosen].T
     matched_track = np.full(len(v), -1)
     matched_track[columns] = track_ids[rows]
     matched_vehicle = np.full(len(track_m), -1)
     matched_vehicle[rows] = vehicles.ids[columns]
     matched_distance = np.full(len(track_m), np.nan)
-    matched_distance[rows] = distance[kept]
+    matched_distance[rows] = distance[chosen]
 
     matched = matched_vehicle >= 0
     valid = np.zeros(len(track_m), bool)
     valid[rows] = should[columns]
-    beside_others = np.zeros(len(track_m), bool)
-    beside_others[near[~should[near[:, 1]], 0]] = True
+    excused = np.zeros(len(track_m), bool)
+    excused[near[~should[near[:, 1]], 0]] = True
     return EpochScore(
         vehicle_ids=vehicles.ids,
         track_ids=track_ids,
@@ -234,7 +233,7 @@ def match_epoch(
         matched_vehicle=matched_vehicle,
         distance_m=matched_distance,
         valid=valid,
-        false=~matched & ~beside_others,
+        false=~matched & ~excused,
         near=near,
         time_s=float(time_s),
         area_km2=area_km2,
@@ -244,7 +243,7 @@ def match_epoch(
 def near_pairs(
     track_m: Float[Array, "track 2"], vehicle_m: Float[Array, "vehicle 2"], limit_m: float
 ) -> tuple[Int[Array, "pair 2"], Float[Array, "pair"]]:
-    """Track and vehicle of every pair within a distance, by rising track, then vehicle; their distances."""
+    """Find pairs of track and vehicle within a distance, by rising track, then vehicle, and distances."""
     if not len(track_m) or not len(vehicle_m):
         return np.empty((0, 2), int), np.empty(0)
     reach = limit_m * (1 + 1e-9)  # the tree rounds otherwise
@@ -252,12 +251,12 @@ def near_pairs(
     track = np.repeat(np.arange(len(track_m)), [len(one) for one in found])
     vehicle = np.concatenate([np.asarray(one, int) for one in found])
     distance_m = np.hypot(*(track_m[track] - vehicle_m[vehicle]).T)
-    kept = distance_m <= limit_m
-    return np.stack([track, vehicle], axis=-1)[kept], distance_m[kept]
+    inside = distance_m <= limit_m
+    return np.stack([track, vehicle], axis=-1)[inside], distance_m[inside]
 
 
 def match(near: Int[Array, "pair 2"], distance: Float[Array, "pair"], limit: float) -> Int[Array, "chosen"]:
-    """One-to-one pairs of those within the limit: as many as possible, then at least total distance.
+    """Match one to one within the limit: as many pairs as possible, then at least total distance.
 
     Returns
     -------
@@ -269,26 +268,18 @@ def match(near: Int[Array, "pair 2"], distance: Float[Array, "pair"], limit: flo
     chosen, rest = np.flatnonzero(alone).tolist(), np.flatnonzero(~alone)
     for group in connected_components(*near[rest].T):
         pairs = rest[group]
-        chosen += _best(pairs, near[pairs], distance[pairs], limit)
+        row, column = (np.unique(side, return_inverse=True)[1] for side in near[pairs].T)
+        shape = row.max() + 1, column.max() + 1
+        # one pair more always outweighs any distance
+        cost, which = np.full(shape, 1.0 + 2.0 * limit * min(shape)), np.full(shape, -1)
+        cost[row, column], which[row, column] = distance[pairs], pairs
+        found = which[linear_sum_assignment(cost)]
+        chosen += found[found >= 0].tolist()
     return np.array(sorted(chosen), int)
 
 
-def _best(
-    pairs: Int[Array, "pair"], near: Int[Array, "pair 2"], distance: Float[Array, "pair"], limit: float
-) -> list[int]:
-    """Those chosen of a group's pairs."""
-    row, column = (np.unique(side, return_inverse=True)[1] for side in near.T)
-    shape = row.max() + 1, column.max() + 1
-    # one pair more always outweighs all the distance there can be
-    cost = np.full(shape, 1.0 + 2.0 * limit * min(shape))
-    which = np.full(shape, -1)
-    cost[row, column], which[row, column] = distance, pairs
-    found = which[linear_sum_assignment(cost)]
-    return found[found >= 0].tolist()
-
-
 def connected_components(left: Int[Array, "pair"], right: Int[Array, "pair"]) -> list[Int[Array, "member"]]:
-    """Groups of pairs that share an end, and of those that share one with them.
+    """Group pairs that share an end, directly or through other pairs.
 
     Parameters
     ----------
@@ -310,14 +301,14 @@ def connected_components(left: Int[Array, "pair"], right: Int[Array, "pair"]) ->
 
 
 def ids_of(dataset: xr.Dataset, dim: str) -> Int[Array, "id"]:
-    """Numbers of what lies along a dim, each there once."""
+    """Ids along a dim, all different."""
     if dim not in dataset.coords:
         raise ValueError(f"`{dim}` must be a coordinate of integer ids, got none")
-    return unlike(np.asarray(dataset[dim].values), dim)
+    return check_ids(np.asarray(dataset[dim].values), dim)
 
 
-def unlike(ids: Int[Array, "id"], name: str) -> Int[Array, "id"]:
-    """Numbers that must all be different."""
+def check_ids(ids: Int[Array, "id"], name: str) -> Int[Array, "id"]:
+    """Check that ids are integers and all different, and return them."""
     if ids.size and not (np.issubdtype(ids.dtype, np.integer) and ids.min() >= 0):
         raise ValueError(f"`{name}` must hold integer ids of 0 or more, got {ids[:4]}")
     repeated = len(ids) - len(np.unique(ids))
@@ -326,6 +317,6 @@ def unlike(ids: Int[Array, "id"], name: str) -> Int[Array, "id"]:
     return ids.astype(np.int64)
 
 
-def places_of(dataset: xr.Dataset) -> Float[Array, "n 2"]:
+def positions_of(dataset: xr.Dataset) -> Float[Array, "n 2"]:
     """East and north. [m]"""
     return np.stack([dataset["east"].values, dataset["north"].values], axis=-1).astype(float)

@@ -6,8 +6,8 @@ else the score of initiation. Completeness against false tracks per frame: Presn
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
-import numpy as np
 import xarray as xr
 
 from glintrack.case.design import Case
@@ -16,8 +16,7 @@ from glintrack.metrics import MATCH_DISTANCE_M, score_epochs, score_tables, summ
 from glintrack.track import (
     TrackDesign,
     TrackerState,
-    report_at_shares,
-    reported_epochs,
+    report_epochs,
     start,
     step_detections,
 )
@@ -109,16 +108,12 @@ def flight_roc(
         key, flown, usual = "initiation.confirm_score", design.initiation.confirm_score, ROC_SCORES
     swept = sorted({*map(float, usual if thresholds is None else thresholds), float(flown)})
     if used.reporting.uses_existence:
-        reports = [
-            one for one in report_at_shares(_states(design, found, grid), swept) if one.tracks.sizes["track"]
-        ]
-        rows = [xr.Dataset() for _ in swept]
-        if reports:  # of one run of the tracker
-            all_rows, at = _rows(one.tracks for one in reports), np.hstack([one.at for one in reports])
-            rows = [all_rows.isel(row=np.flatnonzero(each)) for each in at]
+        states = list(_states(design, found, grid))
+        designs = [design.replace({key: one}) for one in swept]
+        rows = [_rows(report_epochs(replace(one, design=new) for one in states)) for new in designs]
     else:
         designs = [used.replace({key: one}) for one in swept]
-        rows = [_rows(reported_epochs(_states(one, found, grid))) for one in designs]
+        rows = [_rows(report_epochs(_states(one, found, grid))) for one in designs]
     scores = [summarize(one) for one in score_tables(rows, truth, area_m)]
     return xr.Dataset(
         {name: ("threshold", [one[name] for one in scores], {"units": "1"}) for name in _SCORES},

@@ -19,7 +19,7 @@ from glintrack.core.schema import MIN_SCORED_S
 from glintrack.flight import FlightDesign
 from glintrack.io.atomic import content_hash
 from glintrack.io.untrusted import is_file
-from glintrack.metrics.requirement import LEAST_FRAMES, short
+from glintrack.metrics.requirement import MIN_FRAMES, is_too_short
 from glintrack.sensor import SensorDesign
 from glintrack.study.comparisons import check_contrasts
 from glintrack.study.design import (
@@ -270,13 +270,13 @@ def field_notes(plan: Plan) -> list[str]:
 def length_notes(plan: Plan) -> list[str]:
     """Sentence if flights are too short for a tracker."""
     flights = (case.flight for case in plan.cases.values())
-    brief = next((one for one in flights if short(one.frames, (one.frames - 1) / one.rate_hz)), None)
+    brief = next((one for one in flights if is_too_short(one.frames, (one.frames - 1) / one.rate_hz)), None)
     if brief is None:
         return []
     length = f"{brief.frames} frame{'s' if brief.frames > 1 else ''} at {brief.rate_hz:g} Hz"
     return [
         f"a flight of {length} is too short for a tracker, which learns the background first "
-        f"(`flight.frames`; {LEAST_FRAMES} frames and {MIN_SCORED_S:g} s at least)"
+        f"(`flight.frames`; {MIN_FRAMES} frames and {MIN_SCORED_S:g} s at least)"
     ]
 
 

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from glintrack.io import atomic, images
-from glintrack.metrics.requirement import Judged, Requirement, judge
+from glintrack.metrics.requirement import Assessment, Requirement, assess
 from glintrack.study.analysis import (
     CHANCE,
     continuous_axes,
@@ -157,7 +157,7 @@ def check_points(
     found = point_scores(table, list(source["axes"]), requirement.score, channel, _rng())
     flights = len(set(done["replicate"]))
     return channel, [
-        (row["point"], judge(requirement, row["score"], row["low"], row["high"], flights))
+        (row["point"], assess(requirement, row["score"], row["low"], row["high"], flights))
         for row in found.to_dict("records")
     ]
 

@@ -1,4 +1,4 @@
-"""Which detection belongs to which track: gating, then one-to-one assignment or association probabilities."""
+"""Data association: gating, then one-to-one assignment or association probabilities."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -7,10 +7,10 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
-from glintrack.track.motion import Modes, position_density, squared_distance
+from glintrack.track.motion import Modes, mahalanobis_squared, position_density
 
-MIN_DENSITY_M2 = 1e-300  # smallest density whose logarithm a double holds
-_MAX_SWEEPS, _MAX_CHANGE = 200, 1e-10  # belief propagation ends when no message changes by more
+MIN_DENSITY_M2 = 1e-300  # a smaller one has no logarithm in double precision
+_MAX_SWEEPS, _MAX_CHANGE = 200, 1e-10  # message passing ends when no message changes by more
 
 
 def gate(
@@ -20,12 +20,12 @@ def gate(
     measured_covariance: Float[Array, "detection 2 2"],
     gate_distance2: float,
 ) -> tuple[Int[Array, "pair"], Int[Array, "pair"]]:
-    """Pairs of track and detection near enough to belong together.
+    """Gate the pairs of track and detection.
 
     Parameters
     ----------
     mean, covariance
-        Predicted states, of which only the positions, in front, count. [m]
+        Predicted states; only their positions, the first two entries, count. [m]
     measured, measured_covariance
         East and north of the detections. [m]
     gate_distance2
@@ -43,7 +43,7 @@ def gate(
     tracks = np.repeat(np.arange(len(mean)), [len(one) for one in near])
     detections = np.array([one for of_track in near for one in of_track], np.int64)
     apart, spread = measured[detections] - mean[tracks, :2], covariance[tracks, :2, :2]
-    inside = squared_distance(apart, spread + measured_covariance[detections])[0] <= gate_distance2
+    inside = mahalanobis_squared(apart, spread + measured_covariance[detections])[0] <= gate_distance2
     return tracks[inside], detections[inside]
 
 
@@ -55,16 +55,16 @@ def negative_log_likelihood(
     measured: Float[Array, "detection 2"],
     measured_covariance: Float[Array, "detection 2 2"],
 ) -> Float[Array, "pair"]:
-    """−ln of the density with which each pair's target is detected where the detection is. [nat]
+    """Negative log of the density with which each target is detected at its pair's position. [nat]
 
     Parameters
     ----------
     modes
-        Predicted.
+        Predicted states.
     detection
         Probability that a target in each mode is detected. [1]
     tracks, detections
-        Of each pair.
+        Indices of each pair.
     measured, measured_covariance
         East and north of the detections. [m, m²]
     """
@@ -80,7 +80,7 @@ def marginals(
     miss_cost: Float[Array, "track"],
     detection_count: int,
 ) -> Float[Array, "pair"]:
-    """Probability that each pair belongs together, by loopy belief propagation; arguments as in `assign`. [1]
+    """Probability that each pair belongs together, by loopy message passing; arguments as in `assign`. [1]
 
     References
     ----------
@@ -115,9 +115,9 @@ def assign(
     Parameters
     ----------
     tracks, detections, cost
-        Possible pairs and what each costs; may be negative. [nat]
+        Possible pairs and the cost of each; may be negative. [nat]
     miss_cost
-        Of leaving each track without a detection. [nat]
+        Cost of leaving each track without a detection. [nat]
     detection_count
         Number of detections.
 

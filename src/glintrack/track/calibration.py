@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.io.toml import read_toml, to_toml
+from glintrack.io.toml import read_toml
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class LogisticModel:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What one file of ``data/calibration`` holds.
+    """Contents of one file of ``data/calibration``.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Calibration:
 @cache
 def read_calibration(name: str) -> Calibration:
     """Read a calibration by the name of its file, without ``.toml``."""
-    values = read_toml(_file(name), "calibration")
+    values = read_toml(calibration_file(name), "calibration")
     models = {}
     for key, own in values["models"].items():
         weights = own["weights"]
@@ -73,19 +73,6 @@ def read_calibration(name: str) -> Calibration:
     return Calibration(values["source"], values["valid"], models, values.get("constants", {}))
 
 
-def write_calibration(name: str, calibration: Calibration, digits: int = 2) -> None:
-    """Write a calibration with rounded weights, and let `read_calibration` read it anew."""
-    models = {}
-    for key, model in calibration.models.items():
-        weights = [round(float(weight), digits) for weight in model.weights]
-        own = dict(zip(model.features, weights, strict=True))
-        models[key] = {"intercept": round(float(model.intercept), digits), "weights": own}
-    values = {"source": calibration.source, "valid": dict(calibration.valid), "models": models}
-    if calibration.constants:
-        values["constants"] = dict(calibration.constants)
-    _file(name).write_text(to_toml(values), encoding="utf-8")
-    read_calibration.cache_clear()
-
-
-def _file(name: str) -> Path:
+def calibration_file(name: str) -> Path:
+    """Path of a calibration."""
     return Path(str(resources.files("glintrack"))) / "data" / "calibration" / f"{name}.toml"

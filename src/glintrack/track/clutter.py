@@ -1,57 +1,39 @@
-"""Clutter map: the density of blobs that are no vehicles, so that a track among them must prove more.
+"""Clutter map: the local density of false detections, so that a track among them needs more evidence.
 
-Edges that flicker by aliasing and trees that parallax moves give blobs in the same places frame after
-frame; on an open street they are rare. The density of both is learnt from the blobs that no confirmed
-track explains.
+Edges that flicker by aliasing and trees that parallax moves are detected in the same places frame after
+frame. On an open street such detections are rare. The density is measured from the detections that no
+confirmed track explains.
 """
 
 import math
 
-import numba as nb
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.track.detect.frame import Grid
 
 CLUTTER_S = 5.0  # time constant of the map
-CELL_M = 15.0  # a few blobs a cell where clutter is dense, yet smaller than a junction
-
-
-def empty_map(grid: Grid, density_m2: float) -> Float[Array, "row column"]:
-    """A map that expects the same density everywhere. [m⁻²]"""
-    size = [math.ceil(n * grid.gsd_m / _cell_m(grid)) for n in grid.shape]
-    return np.full(size, float(density_m2))
+CELL_M = 15.0  # a few detections a cell where clutter is dense, yet smaller than a junction
 
 
 def map_of(state, grid: Grid) -> Float[Array, "row column"]:
-    """The map that a tracker's state has learnt so far. [m⁻²]"""
-    if state.clutter is None:
-        return empty_map(grid, state.design.association.clutter_density_m2)
-    return state.clutter
+    """Clutter map of a tracker's state; a uniform one before the first frame. [m⁻²]"""
+    if state.clutter is not None:
+        return state.clutter
+    size = [math.ceil(n * grid.gsd_m / _cell_m(grid)) for n in grid.shape]
+    return np.full(size, float(state.design.association.clutter_density_m2))
 
 
 def density_at(
     clutter: Float[Array, "row column"], grid: Grid, position_m: Float[Array, "detection 2"], least: float
 ) -> Float[Array, "detection"]:
-    """Density of clutter about each detection, averaged over 3 × 3 cells. [m⁻²]"""
-    return _about(clutter, position_m, _corner_m(grid), _cell_m(grid), least)
-
-
-@nb.njit(cache=True)
-def _about(clutter, position, corner, cell, least):
-    """Mean over 3 × 3 cells; the edges repeat."""
-    height, width = clutter.shape
-    out = np.empty(len(position))
-    for k in range(len(position)):
-        row, column = _cell_of(position[k], corner, cell, height, width)
-        total = 0.0
-        for dy in (-1, 0, 1):
-            y = min(max(row + dy, 0), height - 1)
-            for dx in (-1, 0, 1):
-                total += clutter[y, min(max(column + dx, 0), width - 1)]
-        out[k] = max(total / 9.0, least)
-    return out
+    """Clutter density around each detection, averaged over 3 × 3 cells; the edges repeat. [m⁻²]"""
+    row, column = _cells_of(position_m, clutter, grid)
+    padded, total = np.pad(clutter, 1, "edge"), np.zeros(len(position_m))
+    for k in range(9):
+        total += padded[row + k // 3, column + k % 3]
+    return np.maximum(total / 9.0, least)
 
 
 def update(
@@ -61,32 +43,22 @@ def update(
     explained: Bool[Array, "detection"],
     share: float,
 ) -> Float[Array, "row column"]:
-    """The map after one more frame, which counts as ``share``."""
-    return _updated(clutter, position_m, explained, _corner_m(grid), _cell_m(grid), share)
-
-
-@nb.njit(cache=True)
-def _updated(clutter, position, explained, corner, cell, share):
-    height, width = clutter.shape
+    """Update the map with one more frame, which counts as ``share``."""
     out = clutter - share * clutter
-    for k in range(len(position)):
-        if not explained[k]:
-            row, column = _cell_of(position[k], corner, cell, height, width)
-            out[row, column] += share / cell**2
+    np.add.at(out, _cells_of(position_m[~explained], clutter, grid), share / _cell_m(grid) ** 2)
     return out
 
 
 def _cell_m(grid: Grid) -> float:
-    """Side of a cell, never finer than the grid. [m]"""
+    """Side of a cell, at least a pixel of the grid. [m]"""
     return max(CELL_M, float(grid.gsd_m))
 
 
-def _corner_m(grid: Grid) -> tuple[float, float]:
-    """North-western corner of the grid. [m]"""
-    return float(grid.corner_m[0] - grid.gsd_m / 2), float(grid.corner_m[1] + grid.gsd_m / 2)
-
-
-@nb.njit(cache=True)
-def _cell_of(position, corner, cell, height, width):
-    row, column = (corner[1] - position[1]) // cell, (position[0] - corner[0]) // cell
-    return int(min(max(row, 0.0), height - 1.0)), int(min(max(column, 0.0), width - 1.0))
+def _cells_of(
+    position_m: Float[Array, "n 2"], clutter: Float[Array, "row column"], grid: Grid
+) -> tuple[Int[Array, "n"], Int[Array, "n"]]:
+    """Row and column of the cell of each position, limited to the map."""
+    west_m, north_m = grid.corner_m[0] - grid.gsd_m / 2, grid.corner_m[1] + grid.gsd_m / 2
+    row = np.clip((north_m - position_m[:, 1]) // _cell_m(grid), 0, clutter.shape[0] - 1)
+    column = np.clip((position_m[:, 0] - west_m) // _cell_m(grid), 0, clutter.shape[1] - 1)
+    return row.astype(int), column.astype(int)

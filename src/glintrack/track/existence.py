@@ -1,12 +1,12 @@
-"""Existence model: which tracks are vehicles, which follow the same vehicle, and which changed vehicles.
+"""Existence model: find the tracks that are vehicles, duplicates, and tracks that changed vehicles.
 
-Confirmation decides whether a target is followed, and may be generous. Reporting decides whether it is a
+Confirmation decides whether a target is tracked, and may be generous. Reporting decides whether it is a
 vehicle near its estimated position, and may change at every epoch. The log odds of existence are a logistic
-model of what the tracker observes (``data/calibration/existence.toml``), fitted for the detector `mosaic` by
+model of the tracker's observations (``data/calibration/existence.toml``), fitted for the detector `mosaic` by
 ``python tools/calibrate.py existence``.
 
 A long or tall vehicle is detected in more than one place, and each place gets a track. Two vehicles keep a
-distance in line and do not stay alike abreast; two tracks of one vehicle do. Such duplicates are followed
+distance in line and do not stay alike abreast; two tracks of one vehicle do. Such duplicates are tracked
 separately and reported as one track, at their mean position, under the oldest id.
 """
 
@@ -20,18 +20,18 @@ from scipy.special import expit
 
 from glintrack.core.arrays import Array
 from glintrack.track.calibration import read_calibration
-from glintrack.track.initiation import Targets, rows_among
+from glintrack.track.initiation import Targets, find_rows
 
 MIN_LOG_ODDS = -0.7  # a track with lower odds is never reported
-MAX_MISSES = 2.0  # more misses count as so many
-MIN_SPEED_M_S, MAX_AGE_S = 6.0, 5.0  # slower motion lowers the odds; a greater age counts as this one
+MAX_MISSES = 2.0  # limit of the misses
+MIN_SPEED_M_S, MAX_AGE_S = 6.0, 5.0  # slower motion lowers the odds; limit of the age
 NEIGHBOUR_M, SAME_SPEED_M_S = 12.0, 4.0
 _MAX_NEIGHBOURS = 8
 
 # Duplicates: chosen on quickstart 11 and 12 and braunschweig 11; three in four such pairs are one vehicle.
 PAIR_M, PAIR_SPEED_M_S, PAIR_MIN_SPEED_M_S = 8.0, 6.0, 6.0
 PAIR_ACROSS_M, PAIR_ALONG_M = 3.0, 4.0  # a pair in line is no farther across, one abreast no farther along
-PAIR_FRAMES, PAIR_KEPT_M = 2, 12.0  # a pair found so often lasts while it is so near
+PAIR_FRAMES, PAIR_END_M = 2, 12.0  # a pair found in so many frames ends beyond this distance
 PAIR_MAX_MISSES = 1
 
 # Beyond this distance from its predicted position half of the tracks found again have changed vehicles
@@ -53,14 +53,14 @@ def existence_log_odds(channel: str, targets: Targets) -> Float[Array, "target"]
 
 
 def group_log_odds(channel: str, targets: Targets, leader: Int[Array, "target"]) -> Float[Array, "target"]:
-    """Log odds of existence, of a leader the greatest of its duplicates'. [nat]
+    """Log odds of existence; a leader has the greatest of its duplicates. [nat]
 
     Parameters
     ----------
     channel, targets
         See `existence_log_odds`.
     leader
-        Index of the target that is reported for each one (`leaders`).
+        Index of the target that is reported for each target (`leaders`).
     """
     own = existence_log_odds(channel, targets)
     odds = own.copy()
@@ -78,7 +78,7 @@ def select_reported_tracks(
     log_odds
         Log odds of existence. [nat]
     candidate
-        Which targets may be reported.
+        Mask of the targets that may be reported.
     max_false_share
         Largest expected share of false tracks. [1]
     """
@@ -93,7 +93,7 @@ def select_reported_tracks(
 def existence_features(targets: Targets) -> Float[Array, "target feature"]:
     """Features of the existence model, in the order of its calibration.
 
-    Frames since the last measurement; mean likelihood ratio of late (`Targets.trust`), and its positive part;
+    Frames since the last measurement; recent mean likelihood ratio (`Targets.trust`), and its positive part;
     the speed missing to 6 m/s; proximity of the nearest confirmed track with a similar velocity, and of the
     nearest of any, from 0 at 12 m to 1; age up to 5 s; and by how much the distance from the first position
     is shorter than 6 m/s would make it (stray), with products of these.
@@ -102,10 +102,10 @@ def existence_features(targets: Targets) -> Float[Array, "target feature"]:
     travel_m = np.hypot(*(targets.position - targets.born).T)
     stray = np.maximum(MIN_SPEED_M_S - travel_m / np.maximum(targets.age_s, 1.0), 0.0)
     age, trust = np.minimum(targets.age_s, MAX_AGE_S), targets.trust
-    escorted, crowded = _neighbour_proximity(targets)
+    alike, near = _neighbour_proximity(targets)
     columns = [
         np.minimum(targets.misses, MAX_MISSES), trust, np.maximum(trust, 0.0),
-        np.maximum(MIN_SPEED_M_S - speed, 0.0), escorted, crowded, trust * crowded, stray * crowded, age,
+        np.maximum(MIN_SPEED_M_S - speed, 0.0), alike, near, trust * near, stray * near, age,
         stray * age,
     ]  # fmt: skip
     return np.stack(columns, axis=-1).astype(float)
@@ -151,7 +151,7 @@ def no_duplicates() -> Duplicates:
 
 
 def update_duplicates(before: Duplicates, targets: Targets) -> Duplicates:
-    """Pairs after an epoch: those found in it, and established ones that are still near.
+    """Update the pairs with an epoch: those found in it, and established ones that are still near.
 
     Parameters
     ----------
@@ -165,19 +165,19 @@ def update_duplicates(before: Duplicates, targets: Targets) -> Duplicates:
     which = which.reshape(-1)
     frames = np.bincount(which, np.r_[np.ones(len(found)), before.frames], len(pair)).astype(np.int64)
     now = np.bincount(which[: len(found)], minlength=len(pair)) > 0
-    row, alive = _rows_of_pairs(targets, pair)
-    near = np.zeros(len(pair), bool)
+    row, found_rows = find_rows(targets.id, pair)
+    alive, near = found_rows.all(axis=1), np.zeros(len(pair), bool)
     apart = targets.position[row[alive, 0]] - targets.position[row[alive, 1]]
-    near[alive] = np.hypot(*apart.T) < PAIR_KEPT_M
-    kept = alive & (now | ((frames >= PAIR_FRAMES) & near))
-    return Duplicates(pair[kept], frames[kept])
+    near[alive] = np.hypot(*apart.T) < PAIR_END_M
+    lasting = alive & (now | ((frames >= PAIR_FRAMES) & near))
+    return Duplicates(pair[lasting], frames[lasting])
 
 
 def leaders(duplicates: Duplicates, targets: Targets) -> Int[Array, "target"]:
-    """Index of the oldest target on each one's vehicle, for most its own."""
+    """Index of the oldest target on each target's vehicle; of a target without duplicates its own."""
     of = np.arange(len(targets))
-    row, alive = _rows_of_pairs(targets, duplicates.pair)
-    row = row[alive]
+    row, found = find_rows(targets.id, duplicates.pair)
+    row = row[found.all(axis=1)]
     for older, younger in row[np.lexsort((row[:, 0], row[:, 1]))]:
         if of[older] == older and of[younger] == younger:
             of[younger] = older
@@ -185,7 +185,7 @@ def leaders(duplicates: Duplicates, targets: Targets) -> Int[Array, "target"]:
 
 
 def move_to_mean_position(targets: Targets, leader: Int[Array, "target"]) -> Targets:
-    """The targets, with each leader at the mean position of its duplicates and itself."""
+    """Move each leader to the mean position of its duplicates and itself."""
     many = np.maximum(np.bincount(leader, minlength=len(targets)), 1)
     sums = [np.bincount(leader, targets.position[:, k], len(targets)) for k in range(2)]
     leads = leader == np.arange(len(targets))
@@ -198,7 +198,7 @@ def move_to_mean_position(targets: Targets, leader: Int[Array, "target"]) -> Tar
 
 
 def _find_pairs(targets: Targets) -> Int[Array, "pair 2"]:
-    """Indices of the confirmed targets that move together at this epoch, the older first."""
+    """Find pairs of confirmed targets that move together at this epoch; indices, the older first."""
     present = np.flatnonzero(targets.confirmed & (targets.misses <= PAIR_MAX_MISSES))
     if len(present) < 2:
         return np.empty((0, 2), np.int64)
@@ -214,16 +214,8 @@ def _find_pairs(targets: Targets) -> Int[Array, "pair 2"]:
     return np.stack([a, b], axis=-1)[alike & (speed > PAIR_MIN_SPEED_M_S) & in_line_or_abreast]
 
 
-def _rows_of_pairs(
-    targets: Targets, pair: Int[Array, "pair 2"]
-) -> tuple[Int[Array, "pair 2"], Bool[Array, "pair"]]:
-    """Indices of both targets of each pair, and whether both live."""
-    row, alive = rows_among(targets.id, pair)
-    return row, np.asarray(alive.all(axis=1))
-
-
 def reassign_ids(before: Targets, after: Targets, interval_s: float, next_id: int) -> Int[Array, "target"]:
-    """Ids after an epoch, with a new id for each track that probably changed vehicles.
+    """Assign a new id to each track that probably changed vehicles in an epoch.
 
     A track found again far from its predicted position belongs to another vehicle more often than to its own.
     A track that was measured throughout keeps its id, since such a jump is mostly a wrong detection.
@@ -240,7 +232,7 @@ def reassign_ids(before: Targets, after: Targets, interval_s: float, next_id: in
     ids = after.id.copy()
     if len(before) == 0:
         return ids
-    row, known = rows_among(before.id, after.id)
+    row, known = find_rows(before.id, after.id)
     expected = before.position[row] + before.mean[row, 2:4] * interval_s
     far = np.hypot(*(after.position - expected).T) > REASSIGNED_M
     found = known & (before.misses[row] > 0) & (after.misses == 0)

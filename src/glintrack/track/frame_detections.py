@@ -1,4 +1,4 @@
-"""The detections of an epoch before it is said whose they are, and where what is known of should be."""
+"""Detect in a frame, and predict the targets to it: everything that association needs."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from glintrack.track.motion import (
     COAST_DAMPING_S,
     MAX_COAST_SIGMA_M,
     Motion,
-    motion_over,
+    motion_model,
     predict_modes,
 )
 from glintrack.track.state import TrackerState
@@ -25,25 +25,25 @@ from glintrack.track.state import TrackerState
 
 @dataclass(frozen=True)
 class FrameDetections:
-    """What was detected at an epoch, and where what is known of should be.
+    """Detections of an epoch and the targets predicted to it.
 
     Parameters
     ----------
     state
-        From before the epoch: of use with that alone.
+        `TrackerState` before the epoch; valid with that one only.
     time_s, interval_s
         Epoch, and time since the one before (0 for the first). [s]
     grid
         Area that was searched.
     motion, predicted
-        Modes of motion over the interval, and all that targets may be, moved by them.
+        Motion model over the interval, and the predicted targets: with multiple hypotheses one for each leaf.
     in_view
         Share of each target's surroundings that had data. [1]
     found, density
-        Detections from west to east, and the density of false ones about each. [m⁻²]
+        Detections from west to east, and the clutter density around each. [m⁻²]
     frame, detector, memory, given, order
         The frame, the detector, its state before the frame, its detections in its own order, and the indices
-        that sort them; None where detections came alone.
+        that sort them; None for detections without a frame.
     """
 
     state: TrackerState
@@ -67,7 +67,7 @@ class FrameDetections:
         Raises
         ------
         ValueError
-            If they are.
+            If state or time differ.
         """
         if self.state is not state:
             raise ValueError(
@@ -94,13 +94,11 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
         If the image breaks its schema, its grid has changed, time does not advance, or the detector's
         detections are not finite.
     """
-    design = state.design
-    interval_s = _interval(state, frame.time_s)
+    design, interval_s = state.design, _interval(state, frame.time_s)
     grid = grid_of(frame, state.grid)
-    motion = motion_since(state, interval_s)
-    targets = predicted(believed(state), motion)
+    targets = predict_targets(_hypotheses(state), motion_model(design, interval_s))
     on_map = targets.confirmed & (targets.unseen_s <= design.initiation.coast_s)
-    if state.leaves is not None:  # what is but possible must not steer the search
+    if state.leaves is not None:  # only the best hypothesis steers the search
         on_map &= state.leaves.chosen
     frame = replace(
         frame,
@@ -110,55 +108,31 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
         expected_m=targets.position[on_map],
     )
     detector = state.detector or detector_of(design.detect, frame)
-    memory, given = found_in(detector, state.memory, frame)
-    index = order(given)
-    found = take(given, index)
-    # where there is no data a target cannot be seen, and a miss says nothing
-    share = in_view(frame, grid, targets.position)
-    density = _density(state, grid, found)
-    return FrameDetections(
-        state=state,
-        time_s=float(frame.time_s),
-        interval_s=interval_s,
-        grid=grid,
-        motion=motion,
-        predicted=targets,
-        in_view=share,
-        found=found,
-        density=density,
-        frame=frame,
-        detector=detector,
-        memory=memory,
-        given=given,
-        order=index,
-    )
-
-
-def found_in(detector: Detector, memory: object, frame: Frame) -> tuple[object, Detections]:
-    """What a detector knew before a frame (from its `start`, if this is the first), and what it finds in it.
-
-    Raises
-    ------
-    ValueError
-        If that is no `Detections`, or not finite.
-    """
-    memory = detector.start(frame) if memory is None else memory
+    memory = detector.start(frame) if state.memory is None else state.memory
     given = detector.detect(memory, frame)
     if not isinstance(given, Detections):
         raise ValueError(
             f"`detect` of {type(detector).__name__} must return track.Detections (of boxes: "
             f"track.of_boxes, of nothing: track.no_detections()), got {type(given).__name__}"
         )
-    return memory, detections.check(given)
+    return replace(
+        prepare_detections(state, given, frame.time_s, grid),
+        in_view=in_view(frame, grid, targets.position),  # without data a miss is no evidence
+        frame=frame,
+        detector=detector,
+        memory=memory,
+        given=given,
+        order=order(given),
+    )
 
 
-def given_detections(state: TrackerState, found: Detections, time_s: float, grid: Grid) -> FrameDetections:
-    """The same for somebody else's detections, of which `tracker.step_detections` makes one step.
+def prepare_detections(state: TrackerState, found: Detections, time_s: float, grid: Grid) -> FrameDetections:
+    """Prepare the detections of another program for association; `tracker.step_detections` takes the result.
 
     Parameters
     ----------
     state, found, time_s, grid
-        As there.
+        See `tracker.step_detections`.
 
     Raises
     ------
@@ -166,9 +140,10 @@ def given_detections(state: TrackerState, found: Detections, time_s: float, grid
         If a detection is not finite or time does not advance.
     """
     interval_s = _interval(state, time_s)
+    motion = motion_model(state.design, interval_s)
     found = take(detections.check(found), order(found))
-    motion = motion_since(state, interval_s)
-    targets = predicted(believed(state), motion)
+    targets = predict_targets(_hypotheses(state), motion)
+    least_m2 = state.design.association.clutter_density_m2
     return FrameDetections(
         state=state,
         time_s=float(time_s),
@@ -178,7 +153,7 @@ def given_detections(state: TrackerState, found: Detections, time_s: float, grid
         predicted=targets,
         in_view=np.ones(len(targets)),
         found=found,
-        density=_density(state, grid, found),
+        density=clutter.density_at(clutter.map_of(state, grid), grid, found.position, least_m2),
     )
 
 
@@ -188,25 +163,13 @@ def _interval(state: TrackerState, time_s: float) -> float:
     return time_s - state.time_s if state.frame else 0.0
 
 
-def _density(state: TrackerState, grid: Grid, found: Detections) -> Float[Array, "detection"]:
-    known = clutter.map_of(state, grid)
-    return clutter.density_at(known, grid, found.position, state.design.association.clutter_density_m2)
+def _hypotheses(state: TrackerState) -> Targets:
+    """Targets, or the leaves of all their hypotheses."""
+    return state.targets if state.leaves is None else hypotheses.leaf_targets(state.leaves, state.targets)
 
 
-def motion_since(state: TrackerState, interval_s: float) -> Motion:
-    """Modes of motion over an interval; those of the last one serve again if it was as long."""
-    if state.motion is not None and interval_s == state.interval_s:
-        return state.motion
-    return motion_over(state.design, interval_s)
-
-
-def believed(state: TrackerState) -> Targets:
-    """Everything that targets may be: themselves, or with many hypotheses all of them."""
-    return state.targets if state.leaves is None else hypotheses.all_of(state.leaves, state.targets)
-
-
-def predicted(targets: Targets, motion: Motion) -> Targets:
-    """Targets after an interval."""
-    damped = (targets.misses > 0) & (motion.stopped < 0)  # where standing is a mode, nothing need be damped
+def predict_targets(targets: Targets, motion: Motion) -> Targets:
+    """Predict targets over an interval."""
+    damped = (targets.misses > 0) & (motion.stopped < 0)  # with a stopped mode no damping is needed
     damping_s = np.where(damped, COAST_DAMPING_S, np.inf)
-    return targets.moved(predict_modes(targets.modes, motion, damping_s, MAX_COAST_SIGMA_M))
+    return targets.with_modes(predict_modes(targets.modes, motion, damping_s, MAX_COAST_SIGMA_M))

@@ -1,10 +1,10 @@
-"""Association by many hypotheses: each target a tree of what it may have been over the last scans.
+"""Multi-hypothesis tracking: each target is a tree of its possible associations over the last scans.
 
-Every scan each leaf of a tree branches into a miss and one branch for each gated detection. Of all trees
-together the least costly choice of leaves is sought in which no detection of the window serves two targets;
-what does not descend from the choice's nodes at the end of the window is cut off (N-scan pruning). The leaves
-are rows of `Targets`, predicted, weighed and updated by the same code as one-to-one association; with a
-window of one scan this is one-to-one association.
+In every scan each leaf of a tree branches into a miss and one branch for each gated detection. Over all trees
+the least costly choice of leaves is searched in which no detection of the window belongs to two targets.
+Leaves that do not descend from the choice's nodes at the start of the window are deleted (N-scan pruning).
+The leaves are rows of `Targets`, predicted and updated by the same code as one-to-one association. A window
+of one scan is one-to-one association.
 
 References
 ----------
@@ -14,39 +14,38 @@ Aerospace and Electronic Systems Magazine 19, 5 (2004).
 
 from dataclasses import dataclass, replace
 
-import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
+from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from glintrack.core.arrays import Array
-from glintrack.track import assignment, identity, update
-from glintrack.track.initiation import Targets, joined, no_targets, select
+from glintrack.track import identity, update
+from glintrack.track.initiation import Targets, concatenate, select
 
-_MAX_NODES = 20_000  # of the search in one component; what is best so far then counts
-_GAIN_NAT = 1e-9  # a difference this small is rounding
-_REACH_NAT = 15.0  # a leaf this much dearer than the best of its tree will not come back
+MAX_LEAVES = 8  # of a tree
+_REACH_NAT = 15.0  # a leaf this much more costly than the best of its tree is deleted
 
 
 @dataclass(frozen=True)
 class Leaves:
-    """What every target may be.
+    """Leaves of all trees: the hypotheses of every target.
 
     Parameters
     ----------
     targets
-        A row a leaf; those of one tree share their id and lie together.
+        One row per leaf; rows of one tree share their id and are contiguous.
     cost
-        Of the associations that lead to each leaf, relative to its tree's best. [nat]
+        Cost of the associations that lead to each leaf, relative to its tree's best. [nat]
     used
         Detection of each leaf in the scans of the window, the latest first; −1 for a miss.
     lineage
         Node of each leaf in the scans of the window, the latest first.
     chosen
-        One leaf a tree: together the best hypothesis.
+        Mask of one leaf per tree: together the best hypothesis.
     nodes
-        How many nodes there have been.
+        Number of nodes so far.
     """
 
     targets: Targets
@@ -62,14 +61,14 @@ class Leaves:
         return np.cumsum(np.r_[0, np.diff(self.targets.id) != 0][: len(self.targets.id)])
 
 
-def no_leaves(design) -> Leaves:
-    """Nothing known."""
-    window = np.empty((0, design.association.scans), np.int64)
-    return Leaves(no_targets(design), np.empty(0), window, window, np.empty(0, bool), 0)
+def no_leaves(targets: Targets, scans: int) -> Leaves:
+    """Leaves of no target, over so many scans."""
+    window = np.empty((0, scans), np.int64)
+    return Leaves(targets, np.empty(0), window, window, np.empty(0, bool), 0)
 
 
-def all_of(leaves: Leaves, best: Targets) -> Targets:
-    """The targets of all leaves, with what is remembered of each tree whatever its leaf."""
+def leaf_targets(leaves: Leaves, best: Targets) -> Targets:
+    """Targets of all leaves, with the number of frames since each tree's last query."""
     tree = np.searchsorted(best.id, leaves.targets.id)
     return replace(leaves.targets, frames_since_query=best.frames_since_query[tree])
 
@@ -77,187 +76,127 @@ def all_of(leaves: Leaves, best: Targets) -> Targets:
 def advance_trees(
     state, seen, evidence: update.Evidence
 ) -> tuple[Leaves, Int[Array, "tree"], identity.Population]:
-    """Leaves after an epoch, the detection of each best one, and the population of features.
+    """Advance the leaves by an epoch; parameters as in `update.advance_targets`.
 
-    Parameters
-    ----------
-    state, seen, evidence
-        As in `update.advance_targets`; the targets are those of all leaves, predicted.
+    Returns
+    -------
+    The leaves, the detection of each best leaf (−1 for none), and the population of features.
     """
-    design, leaves, targets = state.design, state.leaves, seen.predicted
-    costs = update.association_costs(state, seen, targets, seen.in_view, evidence)
-    new = branch(leaves, costs, len(seen.found), state.frame, design.association.branches)
-    hit = np.flatnonzero(new.detection >= 0)
-    rows = select(targets, new.parent)
-    rows = replace(rows, score=np.maximum(rows.score + new.earned, 0.0))
-    choice = update.Choice(new.detection, hit, new.detection[hit], np.ones(len(hit)))
-    # spectra are learnt once, from the best hypothesis
-    best, whose = select(rows, new.chosen), new.detection[new.chosen]
-    population = update.update_features(state, best, evidence, whose)[2]
-    rows, _ = update.update_targets(state, seen, rows, seen.in_view[new.parent], evidence, choice)
-    return grown(leaves, new, rows), whose, population
+    costs = update.association_costs(state, seen, seen.predicted, seen.in_view, evidence)
+    new, parent, detection = _branch(state.leaves, seen.predicted, costs, state.frame)
+    hit = np.flatnonzero(detection >= 0)
+    choice = update.Choice(detection, hit, detection[hit], np.ones(len(hit)))
+    assigned = detection[new.chosen]
+    # spectra update the population once, from the best hypothesis
+    population = update.update_features(state, select(new.targets, new.chosen), evidence, assigned)[2]
+    rows, _ = update.update_targets(state, seen, new.targets, seen.in_view[parent], evidence, choice)
+    # a tree is confirmed as soon as its best leaf is
+    confirmed = (new.targets.confirmed | rows.confirmed)[new.chosen][new.tree]
+    return replace(new, targets=replace(rows, confirmed=confirmed)), assigned, population
 
 
-@dataclass(frozen=True)
-class Branches:
-    """The children of all leaves that are worth keeping, by tree and rising cost.
-
-    Parameters
-    ----------
-    parent, detection
-        Leaf and detection, −1 for a miss.
-    earned, cost
-        Score for the last association, and cost from the root of the window. [nat]
-    used, lineage, chosen
-        As of `Leaves`.
-    """
-
-    parent: Int[Array, "branch"]
-    detection: Int[Array, "branch"]
-    earned: Float[Array, "branch"]
-    cost: Float[Array, "branch"]
-    used: Int[Array, "branch scan"]
-    lineage: Int[Array, "branch scan"]
-    chosen: Bool[Array, "branch"]
-
-
-def branch(leaves: Leaves, costs: update.AssociationCosts, count: int, scan: int, most: int) -> Branches:
-    """Children of all leaves, the best hypothesis among them, and only what descends from it.
-
-    Parameters
-    ----------
-    leaves
-        Before the scan.
-    costs, count
-        Of leaves and their gated detections, and the number of detections.
-    scan
-        Number of the scan.
-    most
-        Leaves kept of a tree.
-    """
-    safe_of_leaf = _one_to_one(leaves.chosen, costs, count)
-    starts, parent, pair, total, safe = _children(
-        leaves.tree, leaves.cost, costs.tracks, costs.partners, costs.cost, costs.miss_cost, safe_of_leaf,
-        _REACH_NAT,
-    )  # fmt: skip
-    missed = pair < 0
-    detection = np.where(missed, -1, np.append(costs.partners, -1)[pair])
-    earned = -np.where(
-        missed, costs.miss_cost[parent], np.append(costs.cost + costs.feature_ratio, 0.0)[pair]
+def _branch(
+    leaves: Leaves, targets: Targets, costs: update.AssociationCosts, scan: int
+) -> tuple[Leaves, Int[Array, "branch"], Int[Array, "branch"]]:
+    """Branch all leaves and prune all but the best hypothesis; with the leaf before and detection of each."""
+    # all children by tree, rising cost and detection (−1 for a miss), less those far more costly than the
+    # best
+    parent = np.r_[np.arange(len(leaves.cost)), costs.tracks]
+    detection = np.r_[np.full(len(leaves.cost), -1), costs.partners]
+    earned = -np.r_[costs.miss_cost, costs.cost + costs.feature_ratio]
+    cost = np.r_[leaves.cost + costs.miss_cost, leaves.cost[costs.tracks] + costs.cost]
+    tree, trees = leaves.tree[parent], np.arange(leaves.chosen.sum() + 1)
+    order = np.lexsort((detection, cost, tree))
+    tree = tree[order]
+    least = cost[order][np.searchsorted(tree, trees[:-1])][tree]
+    safe = leaves.chosen[parent[order]] & (detection[order] < 0)  # a choice without conflict remains
+    near = (cost[order] <= least + _REACH_NAT) | safe
+    tree, order = tree[near], order[near]
+    parent, detection, earned, cost = parent[order], detection[order], earned[order], cost[order]
+    # the number of a detection is unique over all scans
+    latest = np.where(detection >= 0, scan * 2**32 + detection, -1)
+    used = np.column_stack([latest, leaves.used[parent, :-1]])
+    node = leaves.nodes + np.arange(len(parent))
+    lineage = np.column_stack([node, leaves.lineage[parent, :-1]])
+    starts = np.searchsorted(tree, trees)
+    best = select_hypothesis(starts, cost, used)
+    # the best of each tree, and the first that share its root
+    chosen = np.zeros(len(parent), bool)
+    chosen[best] = True
+    shares_root = lineage[:, -1] == lineage[best, -1][tree]
+    keep = np.flatnonzero(chosen | (shares_root & (np.arange(len(tree)) - starts[tree] < MAX_LEAVES)))
+    targets = select(targets, parent[keep])
+    first = np.searchsorted(tree[keep], trees[:-1])
+    new = Leaves(
+        targets=replace(targets, score=np.maximum(targets.score + earned[keep], 0.0)),
+        cost=cost[keep] - cost[keep][first][tree[keep]],
+        used=used[keep],
+        lineage=lineage[keep],
+        chosen=chosen[keep],
+        nodes=int(node[keep].max(initial=leaves.nodes)) + 1,
     )
-    # a detection of this scan has a number that no other scan's has
-    used = np.empty((len(parent), leaves.used.shape[1]), np.int64)
-    used[:, 0] = np.where(detection >= 0, scan * 2**32 + detection, -1)
-    used[:, 1:] = leaves.used[parent, :-1]
-    lineage = np.empty_like(used)
-    lineage[:, 0] = leaves.nodes + np.arange(len(parent))
-    lineage[:, 1:] = leaves.lineage[parent, :-1]
-    best = best_rows(starts, total, used, np.flatnonzero(safe))
-    keep, chosen = _descendants(starts, best, lineage[:, -1], most)
-    return Branches(
-        parent=parent[keep],
-        detection=detection[keep],
-        earned=earned[keep],
-        cost=total[keep],
-        used=used.take(keep, axis=0),
-        lineage=lineage.take(keep, axis=0),
-        chosen=chosen,
-    )
+    return new, parent[keep], detection[keep]
 
 
-def _one_to_one(
-    chosen: Bool[Array, "leaf"], costs: update.AssociationCosts, count: int
-) -> Int[Array, "leaf"]:
-    """Detection of each chosen leaf by one-to-one association of those alone: a first hypothesis.
-
-    −1 is a miss; −2 stands at leaves that are not chosen.
-    """
-    row = np.cumsum(chosen) - 1  # of each chosen leaf among them
-    mine = np.flatnonzero(chosen[costs.tracks])
-    assigned = np.full(len(chosen), -2)
-    assigned[chosen] = assignment.assign(
-        row[costs.tracks[mine]], costs.partners[mine], costs.cost[mine], costs.miss_cost[chosen], count
-    )
-    return assigned
-
-
-def best_rows(
-    starts: Int[Array, "tree_plus_1"],
-    cost: Float[Array, "row"],
-    used: Int[Array, "row scan"],
-    first: Int[Array, "tree"],
+def select_hypothesis(
+    starts: Int[Array, "tree_plus_1"], cost: Float[Array, "row"], used: Int[Array, "row scan"]
 ) -> Int[Array, "tree"]:
-    """One row a tree at least total cost, no detection in two of them.
+    """Select one row per tree at least total cost, with no detection in two of them.
 
     Parameters
     ----------
     starts
-        Rows ``starts[t]`` to ``starts[t + 1]`` are those of tree t, by rising cost.
+        Rows ``starts[t]`` to ``starts[t + 1]`` belong to tree t, by rising cost.
     cost
-        Of each row. [nat]
+        Cost of each row. [nat]
     used
         Detections of each row, −1 for none.
-    first
-        A choice without conflict, to begin with.
 
     Notes
     -----
-    Depth-first branch and bound on each component of trees that share detections; exact unless a component
-    takes more nodes than there is patience for, and never worse than the choice given.
+    An integer program (`scipy.optimize.milp`) over the trees that share detections, directly or through other
+    trees, with two trees whose best rows conflict. The best rows of all other trees are chosen.
     """
-    answer = np.asarray(first, np.int64).copy()
-    starts, used = np.asarray(starts, np.int64), np.asarray(used, np.int64)
+    best, trees = np.asarray(starts[:-1]).copy(), len(starts) - 1
     items = np.full(used.shape, -1)
     code, items[used >= 0] = np.unique(used[used >= 0], return_inverse=True)
-    if len(code) == 0:
-        return answer
     row, scan = np.nonzero(items >= 0)
-    trees = len(answer)
-    tree = np.repeat(np.arange(trees), np.diff(starts))[row]
-    edges = (np.ones(len(row)), (tree, trees + items[row, scan]))
-    graph = coo_array(edges, shape=(trees + len(code), trees + len(code)))
-    part = connected_components(graph, directed=False)[1][:trees]
-    order = np.argsort(part, kind="stable")
-    ends = np.flatnonzero(np.diff(part[order], prepend=-1, append=-2))
-    _search_all(order, ends, starts, cost, items, np.zeros(len(code), np.bool_), answer)
-    return answer
-
-
-def grown(leaves: Leaves, branches: Branches, targets: Targets) -> Leaves:
-    """The leaves after a scan; a tree is confirmed as soon as its best leaf is.
-
-    Parameters
-    ----------
-    leaves, branches
-        Before the scan, and what became of them.
-    targets
-        Of each branch, after its detection.
-    """
-    tree, best = leaves.tree[branches.parent], np.flatnonzero(branches.chosen)
-    known = leaves.targets.confirmed[leaves.chosen] | targets.confirmed[best]
-    first = np.searchsorted(tree, np.arange(len(best)))
-    least = np.minimum.reduceat(branches.cost, first) if len(best) else np.empty(0)
-    return Leaves(
-        replace(targets, confirmed=known[tree]),
-        branches.cost - least[tree],
-        branches.used,
-        branches.lineage,
-        branches.chosen,
-        int(branches.lineage[:, 0].max(initial=leaves.nodes)) + 1,
+    item, tree = items[row, scan], np.repeat(np.arange(trees), np.diff(starts))
+    counts = np.bincount(items[best][items[best] >= 0], minlength=len(code))
+    if not (counts > 1).any():
+        return best
+    size = trees + len(code)
+    graph = coo_array((np.ones(len(row)), (tree[row], trees + item)), shape=(size, size))
+    part = connected_components(graph, directed=False)[1]
+    open_ = np.isin(part[tree], part[trees:][counts > 1])
+    rows, index = np.flatnonzero(open_), np.cumsum(open_) - 1
+    inside = open_[row]
+    uses = csr_array((np.ones(inside.sum()), (item[inside], index[row[inside]])), (len(code), len(rows)))
+    of_tree = csr_array((np.ones(len(rows)), (tree[rows], np.arange(len(rows)))), (trees, len(rows)))
+    sizes = np.bincount(tree[rows], minlength=trees) > 0
+    found = milp(
+        cost[rows],
+        integrality=np.ones(len(rows)),
+        bounds=Bounds(0, 1),
+        constraints=[LinearConstraint(of_tree, sizes, sizes), LinearConstraint(uses, ub=1)],
+        options={"mip_rel_gap": 0.0},
     )
+    chosen = rows[found.x > 0.5]
+    best[tree[chosen]] = chosen
+    return best
 
 
 def prune(leaves: Leaves, alive: Targets, born: Targets, detection: Int[Array, "born"], scan: int) -> Leaves:
-    """Only the trees whose best leaf lives on, and a tree of one leaf for each newborn.
+    """Delete the trees whose best leaf is not alive, and add a tree of one leaf for each new target.
 
     Parameters
     ----------
     leaves
-        From `grown`.
+        From `advance_trees`.
     alive, born
-        Best leaves that live on, and newborn targets.
+        Best leaves that are alive, and new targets.
     detection
-        That each newborn was born of.
+        Detection of each new target.
     scan
         Number of the scan.
     """
@@ -269,17 +208,17 @@ def prune(leaves: Leaves, alive: Targets, born: Targets, detection: Int[Array, "
     used[:, 0] = scan * 2**32 + detection
     lineage[:] = (leaves.nodes + np.arange(n))[:, None]
     return Leaves(
-        joined(select(leaves.targets, keep), born),
-        np.r_[leaves.cost[keep], np.zeros(n)],
-        np.concatenate([leaves.used[keep], used]),
-        np.concatenate([leaves.lineage[keep], lineage]),
-        np.r_[leaves.chosen[keep], np.ones(n, bool)],
-        leaves.nodes + n,
+        targets=concatenate(select(leaves.targets, keep), born),
+        cost=np.r_[leaves.cost[keep], np.zeros(n)],
+        used=np.concatenate([leaves.used[keep], used]),
+        lineage=np.concatenate([leaves.lineage[keep], lineage]),
+        chosen=np.r_[leaves.chosen[keep], np.ones(n, bool)],
+        nodes=leaves.nodes + n,
     )
 
 
-def renamed(leaves: Leaves, old: Int[Array, "tree"], new: Int[Array, "tree"]) -> Leaves:
-    """The leaves with other ids of their trees, by rising id again.
+def rename_trees(leaves: Leaves, old: Int[Array, "tree"], new: Int[Array, "tree"]) -> Leaves:
+    """Give the trees other ids, and sort the leaves by them.
 
     Parameters
     ----------
@@ -294,142 +233,3 @@ def renamed(leaves: Leaves, old: Int[Array, "tree"], new: Int[Array, "tree"]) ->
         leaves, targets=select(replace(leaves.targets, id=ids), order), cost=leaves.cost[order],
         used=leaves.used[order], lineage=leaves.lineage[order], chosen=leaves.chosen[order],
     )  # fmt: skip
-
-
-@nb.njit(cache=True)
-def _children(tree, leaf_cost, pairs, partners, cost, miss_cost, safe_of_leaf, reach):
-    """Children of all leaves, by tree, rising cost and detection, less those far dearer than the tree's best.
-
-    Parameters
-    ----------
-    tree, leaf_cost : (leaf,)
-        Rising number, and cost so far. [nat]
-    pairs, partners, cost : (pair,)
-        Leaf, rising, and detection of each gated pair, and its cost. [nat]
-    miss_cost, safe_of_leaf : (leaf,)
-        Of a miss [nat], and the detection with which a leaf's child is safe: −1 its miss, −2 none.
-    reach : float
-        What is dearer than the best by more goes, but for the safe. [nat]
-
-    Returns
-    -------
-    Where the children of each tree start; leaf and pair (−1 for a miss) of each, its whole cost, and whether
-    it is safe.
-    """
-    leaves, room = len(tree), len(tree) + len(pairs)
-    parent, chosen, detection = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
-    total, safe = np.empty(room), np.empty(room, np.bool_)
-    trees = tree[leaves - 1] + 1 if leaves else 0
-    starts = np.zeros(trees + 1, np.int64)
-    n = leaf = following = 0
-    while leaf < leaves:
-        low, best, number = n, np.inf, tree[leaf]
-        while leaf < leaves and tree[leaf] == number:
-            pair, partner, whole = -1, -1, leaf_cost[leaf] + miss_cost[leaf]
-            while True:
-                best = min(best, whole)
-                k = n
-                while k > low and (
-                    whole < total[k - 1] or (whole == total[k - 1] and partner < detection[k - 1])
-                ):
-                    parent[k], chosen[k], detection[k] = parent[k - 1], chosen[k - 1], detection[k - 1]
-                    total[k], safe[k] = total[k - 1], safe[k - 1]
-                    k -= 1
-                parent[k], chosen[k], detection[k], total[k] = leaf, pair, partner, whole
-                safe[k] = partner == safe_of_leaf[leaf]
-                n += 1
-                if following == len(pairs) or pairs[following] != leaf:
-                    break
-                pair, partner, whole = following, partners[following], leaf_cost[leaf] + cost[following]
-                following += 1
-            leaf += 1
-        high, n = n, low
-        for k in range(low, high):
-            if total[k] <= best + reach or safe[k]:
-                parent[n], chosen[n], total[n], safe[n] = parent[k], chosen[k], total[k], safe[k]
-                n += 1
-        starts[number + 1] = n
-    return starts, parent[:n], chosen[:n], total[:n], safe[:n]
-
-
-@nb.njit(cache=True)
-def _descendants(starts, best, root, most):
-    """Index of the children kept, each tree's best and the first that share its root, and which are best."""
-    keep, chosen = np.empty(len(root), np.int64), np.zeros(len(root), np.bool_)
-    n = 0
-    for t in range(len(best)):
-        for k in range(starts[t], starts[t + 1]):
-            if k == best[t] or (root[k] == root[best[t]] and k - starts[t] < most):
-                keep[n] = k
-                chosen[n] = k == best[t]
-                n += 1
-    return keep[:n], chosen[:n]
-
-
-@nb.njit(cache=True)
-def _search_all(order, ends, starts, cost, items, taken, answer):
-    """Search each component of trees, ``order[ends[k]]`` to ``order[ends[k + 1]]``, and write its answer."""
-    for k in range(len(ends) - 1):
-        _search(order[ends[k] : ends[k + 1]], starts, cost, items, taken, answer)
-
-
-@nb.njit(cache=True)
-def _search(trees, starts, cost, items, taken, answer):
-    """Branch and bound over one component; writes its part of ``answer``, leaves ``taken`` as it was."""
-    n = len(trees)
-    regret = np.empty(n)
-    for d in range(n):
-        a, b = starts[trees[d]], starts[trees[d] + 1]
-        regret[d] = cost[a + 1] - cost[a] if b > a + 1 else np.inf
-    trees = trees[np.argsort(-regret, kind="mergesort")]  # what is sure first
-    rest = np.zeros(n + 1)  # the least that the trees from d on can cost
-    for d in range(n - 1, -1, -1):
-        rest[d] = rest[d + 1] + cost[starts[trees[d]]]
-    best = 0.0
-    for d in range(n):
-        best += cost[answer[trees[d]]]
-    row, placed = np.empty(n, np.int64), np.zeros(n, np.bool_)
-    spent = np.zeros(n + 1)
-    depth = nodes = 0
-    row[0] = starts[trees[0]] - 1
-    while depth >= 0 and nodes < _MAX_NODES:
-        nodes += 1
-        if placed[depth]:
-            _mark(items[row[depth]], taken, False)
-            placed[depth] = False
-        last, allowed = starts[trees[depth] + 1], best - _GAIN_NAT - spent[depth] - rest[depth + 1]
-        r = row[depth] + 1
-        while r < last and cost[r] < allowed and _clashes(items[r], taken):
-            r += 1
-        if r == last or cost[r] >= allowed:  # rows rise in cost: one too dear ends the tree
-            depth -= 1
-            continue
-        row[depth] = r
-        spent[depth + 1] = spent[depth] + cost[r]
-        if depth == n - 1:
-            best = spent[n]
-            for d in range(n):
-                answer[trees[d]] = row[d]
-            continue
-        _mark(items[r], taken, True)
-        placed[depth] = True
-        depth += 1
-        row[depth] = starts[trees[depth]] - 1
-    for d in range(n):
-        if placed[d]:
-            _mark(items[row[d]], taken, False)
-
-
-@nb.njit(cache=True)
-def _mark(items, taken, value):
-    for item in items:
-        if item >= 0:
-            taken[item] = value
-
-
-@nb.njit(cache=True)
-def _clashes(items, taken):
-    for item in items:
-        if item >= 0 and taken[item]:
-            return True
-    return False

@@ -1,8 +1,8 @@
 """Evidence of identity in a vehicle's spectrum.
 
-A spectrum is reduced to the logarithms of a few bin means, less their own mean: shade, which scales the
-spectrum, then takes away little. Two covariances are learnt as the run goes, that of all spectra and that of
-one track's spectra; a new spectrum counts for a track by the logarithm of its likelihood ratio between them.
+A spectrum is reduced to the logarithms of a few bin means, less their own mean, since shade scales a
+spectrum. Two covariances are estimated during the run: that of all spectra and that of one track's spectra. A
+new spectrum counts for a track by the logarithm of its likelihood ratio between them.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,9 @@ from glintrack.core.arrays import Array
 ATTACH_RADIUS_M = 1.5  # from the queried point to the nearest detection, to which the spectrum belongs
 PRIOR_SPECTRA = 20.0  # weight of the design's spread against what one track's spectra show
 WITHIN_SPREAD = 0.35  # prior spread of one vehicle's spectra relative to that of all vehicles'
-RIDGE = 1e-4  # variance of a log radiance nobody can measure better than (1 %)
+RIDGE = 1e-4  # least variance of a measured log radiance (1 %)
+BINS = 8  # spectral bins, which are the features
+MAX_RATIO_NAT = 6.0  # limit of the features' log-likelihood ratio
 
 
 @dataclass(frozen=True)
@@ -41,12 +43,14 @@ class Population:
 
 
 def empty_population(size: int) -> Population:
-    """No spectrum seen yet."""
+    """Population without a spectrum."""
     return Population(0.0, np.zeros(size), np.zeros((size, size)), 0.0, np.zeros((size, size)))
 
 
-def of_spectra(spectra: xr.Dataset, bins: int) -> tuple[Float[Array, "query 2"], Float[Array, "query bin"]]:
-    """Ground points and features of the queries that were served.
+def spectral_features(
+    spectra: xr.Dataset, bins: int
+) -> tuple[Float[Array, "query 2"], Float[Array, "query bin"]]:
+    """Compute ground points and features of the served queries.
 
     Parameters
     ----------
@@ -71,11 +75,11 @@ def of_spectra(spectra: xr.Dataset, bins: int) -> tuple[Float[Array, "query 2"],
         sigma = np.sqrt((noise[:, band] ** 2).sum(axis=1))  # below its noise a bin has no logarithm
         with np.errstate(divide="ignore", invalid="ignore"):
             logarithm[:, k] = np.log(np.maximum(total, sigma) / len(band))
-    kept = served & np.isfinite(logarithm).all(axis=1)
-    features = np.zeros((int(kept.sum()), bins))
-    features[:, :used] = logarithm[kept] - logarithm[kept].mean(axis=1, keepdims=True)
+    valid = served & np.isfinite(logarithm).all(axis=1)
+    features = np.zeros((int(valid.sum()), bins))
+    features[:, :used] = logarithm[valid] - logarithm[valid].mean(axis=1, keepdims=True)
     position = np.stack([spectra["east"].values, spectra["north"].values], axis=-1).astype(float)
-    return position[kept], features
+    return position[valid], features
 
 
 def attach(
@@ -84,7 +88,7 @@ def attach(
     detection_m: Float[Array, "detection 2"],
     radius_m: float,
 ) -> Float[Array, "detection feature"]:
-    """Feature of each detection: that of the nearest spectrum within the radius, NaN for none."""
+    """Attach to each detection the feature of the nearest spectrum within the radius, NaN for none."""
     out = np.full((len(detection_m), features.shape[1]), np.nan)
     if len(query_m) and len(detection_m):
         distance = np.hypot(*(query_m[:, None] - detection_m[None]).transpose(2, 0, 1))
@@ -101,31 +105,26 @@ def log_likelihood_ratio(
     track_mean: Float[Array, "pair feature"],
     track_count: Float[Array, "pair"],
     feature: Float[Array, "pair feature"],
-    cap: float,
-    known: tuple[Array, Array] | None = None,
 ) -> Float[Array, "pair"]:
-    """How much more a feature speaks for a track than for anybody, clipped; 0 where either is missing. [nat]
+    """Log-likelihood ratio of the pair's track against any vehicle, clipped; 0 without data. [nat]
 
     Parameters
     ----------
     population
-        Learnt so far; while it holds fewer than two spectra per feature nothing is said.
+        Spectra so far; with fewer than two per feature the ratio is 0.
     track_mean, track_count
-        Mean feature of the track of each pair, and of how many spectra.
+        Mean feature of each pair's track, and its number of spectra.
     feature
-        Of the detection of each pair, NaN for none.
-    cap
-        Greatest magnitude. [nat]
-    known
-        `axes` of the population, if they were worked out before.
+        Feature of each pair's detection, NaN for none.
     """
-    if not speaks(population) or len(feature) == 0:
+    if not is_informative(population) or len(feature) == 0:
         return np.zeros(len(feature))
-    ratio, basis = axes(population) if known is None else known
+    ratio, basis = axes(population)
     own, variance = next_spectrum((track_mean - population.mean) @ basis, track_count, ratio)
     along = (feature - population.mean) @ basis
     total = 0.5 * (along**2 - (along - own) ** 2 / variance - np.log(variance)).sum(axis=1)
-    return np.where((track_count > 0) & np.isfinite(total), np.clip(total, -cap, cap), 0.0)
+    valid = (track_count > 0) & np.isfinite(total)
+    return np.where(valid, np.clip(total, -MAX_RATIO_NAT, MAX_RATIO_NAT), 0.0)
 
 
 def next_spectrum(
@@ -148,26 +147,23 @@ def next_spectrum(
 
 
 def ground_ratio(
-    population: Population, ground: Population, feature: Float[Array, "spectrum feature"], cap: float
+    population: Population, ground: Population, feature: Float[Array, "spectrum feature"]
 ) -> Float[Array, "spectrum"]:
-    """How much more each feature speaks for the ground than for a vehicle, clipped; 0 for NaN. [nat]
+    """Log-likelihood ratio of ground against vehicle of each feature, clipped; 0 for NaN. [nat]
 
     Parameters
     ----------
     population, ground
-        Spectra of vehicles, and of the ground; while either holds fewer than two spectra per
-        feature nothing is said.
+        Spectra of vehicles, and of the ground; with fewer than two per feature in either the ratio is 0.
     feature
-        Of each spectrum.
-    cap
-        Greatest magnitude. [nat]
+        Feature of each spectrum.
     """
     out = np.zeros(len(feature))
     valid = np.isfinite(feature).all(axis=1)
-    if not (speaks(population) and speaks(ground)) or not valid.any():
+    if not (is_informative(population) and is_informative(ground)) or not valid.any():
         return out
     of_ground, of_vehicle = (_log_density(one, feature[valid]) for one in (ground, population))
-    out[valid] = np.clip(of_ground - of_vehicle, -cap, cap)
+    out[valid] = np.clip(of_ground - of_vehicle, -MAX_RATIO_NAT, MAX_RATIO_NAT)
     return out
 
 
@@ -182,14 +178,14 @@ def _log_density(population: Population, feature: Float[Array, "n feature"]) -> 
 def outlier_mixture(
     ratio: Float[Array, "pair"], ground: Float[Array, "pair"], outlier_share: float
 ) -> tuple[Float[Array, "pair"], Float[Array, "pair"]]:
-    """The same log-likelihood ratio where a share of the spectra does not show the vehicle's paint.
+    """Log-likelihood ratio where a share of the spectra does not show the vehicle's paint.
 
-    Half of these show the ground beside it, the others anything: glass, glint, a neighbour.
+    Half of these show the ground next to it, the others anything: glass, glint, another vehicle.
 
     Parameters
     ----------
     ratio
-        Of track against anybody, if the spectrum is a vehicle's. [nat]
+        Ratio of the track against any vehicle, if the spectrum is a vehicle's. [nat]
     ground
         From `ground_ratio`. [nat]
     outlier_share
@@ -200,15 +196,14 @@ def outlier_mixture(
     The ratio [nat], and the probability that the spectrum is the track's own if the track is there [1].
     """
     own = (1 - outlier_share) * np.exp(ratio)
-    beside = 0.5 * outlier_share * (np.exp(ground) + 1)
-    return np.log((own + beside) / (1 - outlier_share + beside)), own / (own + beside)
+    other = 0.5 * outlier_share * (np.exp(ground) + 1)
+    return np.log((own + other) / (1 - outlier_share + other)), own / (own + other)
 
 
 def divergence2(
     one: tuple[Float[Array, "pair axis"], Float[Array, "pair"]],
     other: tuple[Float[Array, "pair axis"], Float[Array, "pair"]],
     ratio: Float[Array, "axis"],
-    cap: float,
 ) -> Float[Array, "pair"]:
     """Twice the divergence (Kullback and Leibler) of one track's next spectrum from another's, capped. [1]
 
@@ -218,33 +213,31 @@ def divergence2(
         Mean spectra along the axes (`along_axes`), and the numbers of spectra.
     ratio
         Spread within one track over that of all (`axes`).
-    cap
-        As in `log_likelihood_ratio`. [nat]
     """
     (a, a_variance), (b, b_variance) = (next_spectrum(mean, count, ratio) for mean, count in (one, other))
     wider = a_variance / b_variance
-    return np.minimum(((a - b) ** 2 / b_variance + wider - 1 - np.log(wider)).sum(axis=1), 2 * cap)
+    return np.minimum(((a - b) ** 2 / b_variance + wider - 1 - np.log(wider)).sum(axis=1), 2 * MAX_RATIO_NAT)
 
 
-def speaks(population: Population) -> bool:
-    """Whether enough spectra were seen to say anything."""
+def is_informative(population: Population) -> bool:
+    """Return True if a population holds enough spectra to compare others with."""
     return population.count >= 2 * len(population.mean)
 
 
 def along_axes(
     population: Population, mean: Float[Array, "track feature"], count: Float[Array, "track"]
 ) -> tuple[Float[Array, "track feature"], Float[Array, "axis"]]:
-    """Tracks' mean features along the `axes`, and the spread along those; of length 0 while nothing is said.
+    """Mean features of tracks along the `axes`, and the spread along those; of length 0 without axes.
 
     Parameters
     ----------
     population
-        Learnt so far.
+        Spectra so far.
     mean, count
-        Mean feature of each track, and of how many spectra.
+        Mean feature of each track, and its number of spectra.
     """
     along = np.zeros_like(mean)
-    if not speaks(population):
+    if not is_informative(population):
         return along, np.empty(0)
     valid = np.flatnonzero(count > 0)  # few of many
     ratio, basis = axes(population)
@@ -257,10 +250,7 @@ def axes(
 ) -> tuple[Float[Array, "feature"], Float[Array, "feature feature"]]:
     """Spread within one track over that of all, in the axes that make the latter 1; and those axes.
 
-    Parameters
-    ----------
-    population
-        That `speaks`.
+    The population must be informative (`is_informative`).
     """
     size = len(population.mean)
     all_spread = population.scatter / population.count + RIDGE * np.eye(size)
@@ -280,7 +270,7 @@ def update_population(
     track_mean: Float[Array, "spectrum feature"],
     track_count: Float[Array, "spectrum"],
 ) -> Population:
-    """The population after some more spectra, each with the mean and count of its track before it.
+    """Update a population with more spectra, each with the mean and count of its track before it.
 
     References
     ----------

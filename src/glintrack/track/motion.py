@@ -20,6 +20,10 @@ from glintrack.core.arrays import Array
 from glintrack.track.design import TrackDesign
 
 TURN_S, STOP_S = 3.0, 10.0  # mean time of a turn, and of a stop
+TURN_RATE_RAD_S = math.radians(20.0)
+# standard deviation of the speed components from which a vehicle may stand at the next frame: this plus its
+# braking until then
+STOPPING_SPEED_M_S, BRAKING_M_S2 = 1.0, 3.0
 START_SPEED_M_S = 1.5  # standard deviation of each speed component of a vehicle that drives off
 COAST_DAMPING_S = 3.0  # time in which the speed of a coasting track decays, with one mode
 MAX_COAST_SIGMA_M = 20.0  # standard deviation of a position beyond which coasting lets it grow no more
@@ -59,7 +63,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Modes:
-    """What is believed of each target in each mode.
+    """State of each target in each mode.
 
     Parameters
     ----------
@@ -74,17 +78,21 @@ class Modes:
     probability: Float[Array, "track mode"]
 
 
-def motion_over(design: TrackDesign, interval_s: float) -> Motion:
+def motion_model(design: TrackDesign, interval_s: float) -> Motion:
     """Modes of a design's motion model over an interval. [s]"""
-    dt, straight = float(interval_s), design.motion.acceleration_psd_m2_s3
+    dt = float(interval_s)
+    white = np.kron(np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]), np.eye(2))
+    noise = design.motion.acceleration_psd_m2_s3 * white
     if design.motion.model == "constant-velocity":
-        one = np.ones((1, 1))
-        detection = np.array([design.association.detection_probability])
         return Motion(
-            dt * np.eye(2)[None], np.eye(2)[None], _acceleration_noise(straight, dt)[None], one, detection, -1
+            reach=dt * np.eye(2)[None],
+            turn=np.eye(2)[None],
+            noise=noise[None],
+            transition=np.ones((1, 1)),
+            detection=np.array([design.association.detection_probability]),
+            stopped=-1,
         )
-    rate = math.radians(design.motion.turn_rate_deg_s)
-    arcs = [_arc(rate * side, dt) for side in (0.0, 1.0, -1.0)]
+    arcs = [_arc(TURN_RATE_RAD_S * side, dt) for side in (0.0, 1.0, -1.0)]
     start = START_SPEED_M_S**2
     still = np.diag([STOPPED_DRIFT_M2_S * dt, STOPPED_DRIFT_M2_S * dt, start, start])
     times_s = [design.motion.straight_s, TURN_S, TURN_S, STOP_S]
@@ -95,16 +103,12 @@ def motion_over(design: TrackDesign, interval_s: float) -> Motion:
     return Motion(
         reach=np.stack([reach for reach, _ in arcs] + [np.zeros((2, 2))]),
         turn=np.stack([turn for _, turn in arcs] + [np.zeros((2, 2))]),
-        noise=np.stack([_acceleration_noise(straight, dt)] * 3 + [still]),
+        noise=np.stack([noise] * 3 + [still]),
         transition=np.diag(1 - leave) + leave[:, None] * share,
         detection=np.array(found),
         stopped=3,
-        stopping2=(design.motion.stopping_speed_m_s + design.motion.braking_m_s2 * dt) ** 2,
+        stopping2=(STOPPING_SPEED_M_S + BRAKING_M_S2 * dt) ** 2,
     )
-
-
-def _acceleration_noise(psd: float, dt: float) -> Float[Array, "4 4"]:
-    return psd * np.kron(np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]), np.eye(2))
 
 
 def _arc(rate_rad_s: float, dt: float) -> tuple[Float[Array, "2 2"], Float[Array, "2 2"]]:
@@ -117,25 +121,25 @@ def _arc(rate_rad_s: float, dt: float) -> tuple[Float[Array, "2 2"], Float[Array
     return np.array([[along, -aside], [aside, along]]), np.array([[c, -s], [s, c]])
 
 
-def newborn_modes(
+def initial_modes(
     position: Float[Array, "track 2"],
     covariance: Float[Array, "track 2 2"],
     speed_covariance: Float[Array, "track 2 2"],
     modes: int,
     velocity: Float[Array, "track 2"] | None = None,
 ) -> Modes:
-    """Targets seen once: any velocity; a vehicle that stands is not expected to be seen first.
+    """Modes of targets after their first detection: any velocity, and rarely stopped.
 
     Parameters
     ----------
     position, covariance
-        Of the first detection. [m, m²]
+        First detection. [m, m²]
     speed_covariance
-        Of the velocity. [m² s⁻²]
+        Covariance of the velocity. [m² s⁻²]
     modes
-        How many there are.
+        Number of modes.
     velocity
-        Its mean, 0 by default. [m s⁻¹]
+        Mean of the velocity, 0 by default. [m s⁻¹]
     """
     n = len(position)
     mean = np.zeros((n, modes, 4))
@@ -152,21 +156,20 @@ def newborn_modes(
 def predict_modes(
     modes: Modes, motion: Motion, damping_s: Float[Array, "track"], widest_m: float = math.inf
 ) -> Modes:
-    """What is believed after one interval without a look.
+    """Predict the state after one interval.
 
     Parameters
     ----------
     modes
-        Before.
+        State before.
     motion
-        From `motion_over` of the interval.
+        Motion model of the interval.
     damping_s
-        Time in which each target's speed decays; infinite keeps it. [s]
+        Time in which each target's speed decays; infinite for no decay. [s]
     widest_m
-        Standard deviation of a position beyond which it grows no more: a car is on the street somewhere near.
-        [m]
+        Standard deviation of a position beyond which it grows no more: a car is on a street nearby. [m]
     """
-    mixed, dt = _mixed_modes(modes, motion), float(motion.reach[0, 0, 0])
+    mixed, dt = _mix_modes(modes, motion), float(motion.reach[0, 0, 0])
     damping_s = np.asarray(damping_s, float)
     damps = np.isfinite(damping_s) & (dt > 0)
     slowed = np.where(damps, np.exp(-dt / damping_s), 1.0)  # speed after dt over that before
@@ -184,8 +187,8 @@ def predict_modes(
     return Modes(mean, _symmetric(covariance * shrink), mixed.probability)
 
 
-def _mixed_modes(modes: Modes, motion: Motion) -> Modes:
-    """Mean and covariance on entering each mode, and the probability of each mode.
+def _mix_modes(modes: Modes, motion: Motion) -> Modes:
+    """Mix the modes: mean and covariance on entering each mode, and its probability.
 
     A vehicle that drives fast does not stand at the next frame, and stays in its mode. The factor is the
     likelihood that a velocity of that mode, braked within the interval, is 0, relative to a mean of 0.
@@ -215,7 +218,7 @@ def _symmetric(covariance: Float[Array, "*n 4 4"]) -> Float[Array, "*n 4 4"]:
     return 0.5 * (covariance + covariance.swapaxes(-1, -2))
 
 
-def squared_distance(
+def mahalanobis_squared(
     apart: Float[Array, "*n 2"], spread: Float[Array, "*n 2 2"]
 ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
     """Squared Mahalanobis distance, and the determinant of the covariance."""
@@ -235,7 +238,7 @@ def position_density(
     """Density of each pair's measured position under each mode of its predicted target. [m⁻²]"""
     apart = measured[partners, None] - modes.mean[tracks, :, :2]
     spread = modes.covariance[tracks, :, :2, :2] + measured_covariance[partners, None]
-    distance2, determinant = squared_distance(apart, spread)
+    distance2, determinant = mahalanobis_squared(apart, spread)
     return np.exp(-0.5 * distance2) / (2 * np.pi * np.sqrt(determinant))
 
 
@@ -249,16 +252,16 @@ def update_modes(
     measured: Float[Array, "detection 2"],
     measured_covariance: Float[Array, "detection 2 2"],
 ) -> Modes:
-    """What is believed after a look, each detection counting by the probability that it is the target's.
+    """Update the state with detections, weighted by the probability that each is the target's.
 
     Parameters
     ----------
     modes
-        Predicted.
+        Predicted state.
     motion
-        Whose detection probabilities count.
+        Motion model, for its probabilities of detection.
     seen
-        Share of each target's surroundings that had data; where nothing was seen a miss tells nothing. [1]
+        Share of each target's surroundings that had data; a miss without data is no evidence. [1]
     first
         Pairs ``first[k]`` to ``first[k + 1]`` are those of target k.
     partners, weights
@@ -279,9 +282,9 @@ def update_modes(
         hit = weights[:, None] * _shares(likelihood, modes.probability[target])
     own = missed.copy()
     np.add.at(own, target, hit)
-    means, covariances = _measured_states(modes, target, partners, measured, measured_covariance)
-    kept = (count == 0)[:, None] | (own <= 0)
-    own_or_1 = np.where(kept, 1.0, own)
+    means, covariances = _update_states(modes, target, partners, measured, measured_covariance)
+    unchanged = (count == 0)[:, None] | (own <= 0)
+    own_or_1 = np.where(unchanged, 1.0, own)
     miss_share, hit_share = missed / own_or_1, hit / own_or_1[target]
     mean = miss_share[..., None] * modes.mean
     np.add.at(mean, target, hit_share[..., None] * means)
@@ -290,8 +293,8 @@ def update_modes(
     spread = covariances + hit_apart[..., None] * hit_apart[..., None, :]
     np.add.at(covariance, target, hit_share[..., None, None] * spread)
     return Modes(
-        np.where(kept[..., None], modes.mean, mean),
-        np.where(kept[..., None, None], modes.covariance, covariance),
+        np.where(unchanged[..., None], modes.mean, mean),
+        np.where(unchanged[..., None, None], modes.covariance, covariance),
         _shares(own, modes.probability),
     )
 
@@ -302,14 +305,14 @@ def _shares(values: Float[Array, "n mode"], otherwise: Float[Array, "n mode"]) -
     return np.where(total > 0, values / np.where(total > 0, total, 1.0), otherwise)
 
 
-def _measured_states(
+def _update_states(
     modes: Modes,
     target: Int[Array, "pair"],
     partners: Int[Array, "pair"],
     measured: Float[Array, "detection 2"],
     measured_covariance: Float[Array, "detection 2 2"],
 ) -> tuple[Float[Array, "pair mode 4"], Float[Array, "pair mode 4 4"]]:
-    """Mean and covariance of each mode after each pair's detection, by Joseph's form.
+    """Update each mode with each pair's detection, by Joseph's form.
 
     P' = (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, where H takes the position; it stays positive where rounding bites.
     """
@@ -326,7 +329,7 @@ def _measured_states(
     return mean + (gain @ innovation[..., None])[..., 0], _symmetric(after)
 
 
-def combined(modes: Modes) -> tuple[Float[Array, "track 4"], Float[Array, "track 4 4"]]:
+def combine_modes(modes: Modes) -> tuple[Float[Array, "track 4"], Float[Array, "track 4 4"]]:
     """Mean and covariance over the modes. [m, m s⁻¹]"""
     n = len(modes.mean)
     if modes.mean.shape[1] == 1:

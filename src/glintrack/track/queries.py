@@ -1,9 +1,9 @@
-"""Queries: which spectra the tracker asks for, of predictions in the next frame or of detections at once.
+"""Plan queries for spectra: of predictions in the next frame, or of detections at once.
 
-One pixel of a column serves one query. A target that spans several columns may be asked in any of them. The
-sets of targets that can be asked at once are then the independent sets of a transversal matroid, limited by
-the budget. The greedy choice by falling priority is optimal, where a target is taken if an augmenting path
-gives each one taken so far its own column (Edmonds and Fulkerson, J. Res. NBS 69B, 147, 1965).
+One pixel of a column serves one query. A target that spans several columns may be queried in any of them. The
+sets of targets that can be queried together are then the independent sets of a transversal matroid, limited
+by the budget. The greedy choice by falling priority is optimal. A target is chosen if an augmenting path
+gives each chosen target its own column (Edmonds and Fulkerson, J. Res. NBS 69B, 147, 1965).
 """
 
 from collections.abc import Callable
@@ -19,52 +19,52 @@ from glintrack.core.arrays import Array
 from glintrack.core.records import SpectralQuery
 from glintrack.track import assignment, identity, update
 from glintrack.track.design import TrackDesign
-from glintrack.track.frame_detections import FrameDetections, motion_since, predicted
-from glintrack.track.initiation import Targets, hits_of, select
-from glintrack.track.motion import squared_distance
+from glintrack.track.frame_detections import FrameDetections, predict_targets
+from glintrack.track.initiation import Targets, select
+from glintrack.track.motion import mahalanobis_squared, motion_model
 from glintrack.track.state import TrackerState
 
 ColumnOf = Callable[[Float[Array, "point 3"]], Int[Array, "point"]]
 FRAMES_AHEAD = 1.0  # at which a spectrum will be compared with later ones
 BIRTH_SCORE = 4.0  # nat; score at which a track is as likely as not to be a vehicle
 GROUND_AHEAD_M, GROUND_CLEAR_M, GROUND_SPEED_M_S = 8.0, 6.0, 3.0
-GROUND_SHARE, MAX_GROUND = 5, 4  # one query in so many is the ground's, and not more than so many a frame
-REACH_M = 1.2  # from a target's centre along its way to the other two points that may be asked
+GROUND_SHARE, MAX_GROUND = 5, 4  # one query in so many is of the ground, with so many a frame at most
+REACH_M = 1.2  # from a target's centre along its track to its other two candidate points
 MIN_HEADING_M_S = 0.5  # slower, a velocity does not give a heading
 
 
 def query_predictions(
     state: TrackerState, column_of: ColumnOf | None
 ) -> tuple[TrackerState, tuple[SpectralQuery, ...]]:
-    """What to ask for in the next frame, expected one interval later; `step` does this itself.
+    """Plan the queries of the next frame, expected one interval later; `step` does this itself.
 
     Parameters
     ----------
     state
         `TrackerState` from `step_detections`.
     column_of
-        As in `step`.
+        See `step`.
 
     Returns
     -------
-    The state, which remembers who was asked, and the queries: none if the design asks at detections
-    (`query_detections`).
+    The state, with the frames since each target's query, and the queries: none if the design queries
+    detections (`query_detections`).
     """
     design = state.design
     if column_of is None or state.interval_s == 0 or design.query.at != "prediction":
         return state, ()
     if design.query.policy == "none":
         return state, ()
-    promising = hits_of(state.targets.history) >= 2
-    motion = motion_since(state, state.interval_s)
-    targets = predicted(select(state.targets, promising), motion)
+    promising = np.bitwise_count(state.targets.history) >= 2
+    motion = motion_model(design, state.interval_s)
+    targets = predict_targets(select(state.targets, promising), motion)
     if design.query.policy == "entropy":
         detected = targets.mode_probability @ motion.detection
         priority = prediction_gain(targets, detected, state.population, design)
     else:
-        priority = _other_priority(state, targets.frames_since_query)
+        priority = _simple_priority(state, targets.frames_since_query)
     spots = candidate_points(targets.position, targets.mean[:, 2:])
-    queries = _with_ground(state, targets, spots, targets.id, priority, column_of)
+    queries = _plan_with_ground(state, targets, spots, targets.id, priority, column_of)
     frames_since_query = state.targets.frames_since_query + 1
     frames_since_query[
         np.searchsorted(state.targets.id, [q.track_id for q in queries if q.track_id >= 0])
@@ -75,16 +75,17 @@ def query_predictions(
 def query_detections(
     state: TrackerState, seen: FrameDetections, column_of: ColumnOf | None
 ) -> tuple[SpectralQuery, ...]:
-    """Of which detections to take spectra at once, while it is open whose they are.
+    """Plan the queries of a frame's detections, before their association.
 
     Parameters
     ----------
     state
-        `TrackerState` before the frame, of a design with ``query.at = "detection"``; others ask nothing here.
+        `TrackerState` before the frame, of a design with ``query.at = "detection"``; other designs have no
+        queries here.
     seen
         The frame, from `detect_frame`; `step` takes it, and the spectra, next.
     column_of
-        As in `step`.
+        See `step`.
 
     Raises
     ------
@@ -93,7 +94,7 @@ def query_detections(
 
     Notes
     -----
-    With association by many hypotheses only the best of them asks.
+    With multi-hypothesis tracking only the best hypothesis has queries.
     """
     seen.check(state)
     design, found = state.design, seen.found
@@ -102,35 +103,36 @@ def query_detections(
     targets, share_seen = seen.predicted, seen.in_view
     if state.leaves is not None:
         targets, share_seen = select(targets, state.leaves.chosen), share_seen[state.leaves.chosen]
-    no_spectra = np.full((len(found), design.identity.bins), np.nan)
-    evidence = update.evidence_of(state, no_spectra)
+    no_spectra = np.full((len(found), len(state.population.mean)), np.nan)
+    evidence = update.spectral_evidence(state, no_spectra)
     costs = update.association_costs(state, seen, targets, share_seen, evidence)
     share = assignment.marginals(costs.tracks, costs.partners, costs.cost, costs.miss_cost, len(found))
-    owner = _owner_of(costs, share, len(found))
+    owner, order = np.full(len(found), -1), np.argsort(share, kind="stable")
+    owner[costs.partners[order]] = costs.tracks[order]  # the most probable target is written last
     owned = owner >= 0
     if not owned.any():
         return ()
     if design.query.policy == "entropy":
-        priority = detection_gain(targets, state.population, design, costs, share, len(found))
+        priority = detection_gain(targets, state.population, costs, share, len(found))
     else:
-        priority = np.where(owned, _other_priority(state, targets.frames_since_query[owner]), 0.0)
+        priority = np.where(owned, _simple_priority(state, targets.frames_since_query[owner]), 0.0)
     velocity = np.where(owned[:, None], targets.mean[owner, 2:], 0.0)
     spots = candidate_points(found.position + np.array(found.displacement_m), velocity)
-    known = select(targets, hits_of(targets.history) >= 2)
-    return _with_ground(state, known, spots, np.where(owned, targets.id[owner], -1), priority, column_of)
+    known = select(targets, np.bitwise_count(targets.history) >= 2)
+    return _plan_with_ground(state, known, spots, np.where(owned, targets.id[owner], -1), priority, column_of)
 
 
-def _other_priority(state: TrackerState, frames_since_query: Int[Array, "target"]) -> Float[Array, "target"]:
-    """Priorities of the policies that do not weigh what a spectrum would say."""
+def _simple_priority(state: TrackerState, frames_since_query: Int[Array, "target"]) -> Float[Array, "target"]:
+    """Priorities of the policies `round-robin` and `random`."""
     if state.design.query.policy == "round-robin":
         return frames_since_query + 1.0
     return np.random.default_rng((state.seed, state.frame)).random(len(frames_since_query))
 
 
-def _with_ground(
+def _plan_with_ground(
     state: TrackerState, targets: Targets, spots, track_id, priority, column_of
 ) -> tuple[SpectralQuery, ...]:
-    """The queries of greatest priority, and some of the bare road ahead of targets."""
+    """Plan the queries of greatest priority, and some of the road ahead of targets."""
     design, bare = state.design, np.empty((0, 2))
     if design.identity.outlier_share:
         rng = np.random.default_rng((state.seed, state.frame, 1))
@@ -143,24 +145,24 @@ def _with_ground(
 def prediction_gain(
     targets: Targets, detected: Float[Array, "target"], population: identity.Population, design: TrackDesign
 ) -> Float[Array, "target"]:
-    """Association entropy that a spectrum of each target at the next look is expected to take away. [nat]
+    """Expected reduction of association entropy by a spectrum of each target in the next frame. [nat]
 
-    The spectrum is of use if the target is there, is detected and lies where it is asked. Two tracks that
-    contend for detections are told apart by where they are and by what they look like (`association_risk`);
-    the worth of a spectrum at once is the fall of that risk's entropy, summed over the rivals. Later it is
-    a reference, for the contention there is about the target and, since that changes, about all: the share
-    of it that one spectrum more serves falls as the variance of their mean does.
+    The spectrum is useful if the target exists, is detected and is at the queried position. Two tracks that
+    compete for detections are separated by their positions and by their spectra (`association_risk`). The
+    immediate value of a spectrum is the reduction of that risk's entropy, summed over the rivals. Later it is
+    a reference, for the contention about the target and, since that changes, about all. This value falls with
+    the number of spectra as the variance of their mean does.
 
     Parameters
     ----------
     targets
-        Predicted to the next look.
+        Predicted to the next frame.
     detected
         Probability that each is detected then. [1]
     population
-        Of spectral features.
+        Population of spectral features.
     design
-        Of the tracker.
+        Design of the tracker.
     """
     if len(targets) == 0:
         return np.empty(0)
@@ -168,15 +170,15 @@ def prediction_gain(
     spread = targets.covariance[:, :2, :2] + design.detect.sigma_m**2 * np.eye(2)
     one, other = assignment.gate(place, spread, place, spread, design.association.gate)
     one, other = one[one != other], other[one != other]
-    believed = existence_probability(targets)
-    apart2 = squared_distance(place[one] - place[other], spread[one] + spread[other])[0]
-    without = _binary_entropy(believed[other] * association_risk(apart2, 0.0, detected[other]))
+    probability = existence_probability(targets)
+    apart2 = mahalanobis_squared(place[one] - place[other], spread[one] + spread[other])[0]
+    without = _binary_entropy(probability[other] * association_risk(apart2, 0.0, detected[other]))
     blind, gain = np.bincount(one, without, len(targets)), np.zeros(len(targets))
     along, ratio = identity.along_axes(population, targets.feature, count)
     if len(ratio):
         pair = (along[one], count[one]), (along[other], count[other])
-        alike2 = identity.divergence2(*pair, ratio, design.identity.cap)
-        then = _binary_entropy(believed[other] * association_risk(apart2, alike2, detected[other]))
+        alike2 = identity.divergence2(*pair, ratio)
+        then = _binary_entropy(probability[other] * association_risk(apart2, alike2, detected[other]))
         gain = np.bincount(one, without - then, len(targets))
     area = np.sqrt(np.linalg.det(spread))
     # a false detection where a missed target was
@@ -184,7 +186,7 @@ def prediction_gain(
     contention = blind + _binary_entropy((1 - detected) * stray)
     later = FRAMES_AHEAD * (contention + contention.mean()) / ((count + 1) * (count + 2))
     met = -np.expm1(-0.5 * identity.ATTACH_RADIUS_M**2 / area)  # the spectrum is of the vehicle
-    return believed * detected * met * (gain + later)
+    return probability * detected * met * (gain + later)
 
 
 def association_risk(
@@ -193,9 +195,9 @@ def association_risk(
     """Probability that a detected target's detection goes to its rival. [1]
 
     The log-likelihood ratio of the right and the wrong association of Gaussian tracks is Gaussian, of a
-    variance twice its mean. Where both are detected, and exchanged, the mean is Δᵀ S⁻¹ Δ, of Δ the distance
-    and S each one's covariance, which is twice ``apart2``; where the rival is missed and takes what is not
-    its own, half of that. One spectrum adds ``alike2``/2 to either.
+    variance twice its mean. Where both are detected, and exchanged, the mean is Δᵀ S⁻¹ Δ, with the distance Δ
+    and the covariance S of each, which is twice ``apart2``; where the rival is missed and takes the other's
+    detection, half of that. One spectrum adds ``alike2``/2 to either.
 
     Parameters
     ----------
@@ -221,18 +223,18 @@ def existence_probability(targets: Targets) -> Float[Array, "target"]:
 
 
 def ground_points(targets: Targets, count: int, rng: np.random.Generator) -> Float[Array, "point 2"]:
-    """Points of bare road: ahead of moving targets, in an order of chance, where no other target is. [m]
+    """Points of the road: ahead of moving targets, in random order, away from all targets. [m]
 
-    A spectrum asked of a vehicle shows the road where the prediction errs; these say what that looks like.
+    A query of a vehicle shows the road where the prediction errs; these points measure its spectrum.
 
     Parameters
     ----------
     targets
-        Predicted to the next look.
+        Predicted to the next frame.
     count
-        Most points.
+        Maximum number of points.
     rng
-        Of the order.
+        Generator of the order.
     """
     velocity = targets.mean[:, 2:]
     speed = np.hypot(*velocity.T)
@@ -247,7 +249,7 @@ def ground_points(targets: Targets, count: int, rng: np.random.Generator) -> Flo
 def candidate_points(
     position_m: Float[Array, "target 2"], velocity_m_s: Float[Array, "target 2"]
 ) -> Float[Array, "target place 2"]:
-    """Points of each target that may be asked: its centre, and before and behind it on its way. [m]"""
+    """Points of each target that may be queried: its centre, and ahead of and behind it. [m]"""
     speed = np.hypot(*velocity_m_s.T)[:, None]
     way = np.where(speed >= MIN_HEADING_M_S, REACH_M * velocity_m_s / np.maximum(speed, MIN_HEADING_M_S), 0.0)
     return np.stack([position_m, position_m + way, position_m - way], axis=1)
@@ -256,18 +258,18 @@ def candidate_points(
 def match_columns(
     columns: Int[Array, "target place"], priority: Float[Array, "target"], budget: int
 ) -> Int[Array, "target"]:
-    """Place of each target chosen, −1 for none: the choice of greatest total priority.
+    """Choose the targets of greatest total priority: the place of each, −1 for none.
 
     Parameters
     ----------
     columns
         Column of each place of each target; −1 for none.
     priority
-        Of each target; what is 0 or less is not chosen. Equal ones are taken by rising index.
+        Priority of each target; one of 0 or less is not chosen. Equal ones are chosen by rising index.
     budget
-        Most targets chosen.
+        Maximum number of targets.
     """
-    owner: dict[int, int] = {}  # target of each column taken
+    owner: dict[int, int] = {}  # target of each chosen column
     place = np.full(len(columns), -1)
 
     def augment(target: int, tried: set[int]) -> bool:
@@ -296,24 +298,22 @@ def plan(
     column_of: ColumnOf,
     budget: int,
 ) -> tuple[SpectralQuery, ...]:
-    """The queries of greatest total priority, at most one per column and ``budget`` in all.
+    """Plan the queries of greatest total priority, at most one per column and ``budget`` in all.
 
     Parameters
     ----------
     place_m
-        From `candidate_points`, of where each target will be at the next epoch. [m]
-    track_id
-        Of each target.
-    priority
-        Of each target; those of no gain (0 or less) are not asked for. [nat]
+        `candidate_points` of each target's position at the next epoch. [m]
+    track_id, priority
+        Id and priority of each target; one of 0 or less is not queried. [nat]
     column_of
         Superpixel column that sees each ground point (east, north, up), −1 off the array.
     budget
-        Most queries in a frame.
+        Maximum number of queries in a frame.
 
     Returns
     -------
-    Queries by falling priority, ties in an order scattered over the track ids.
+    Queries by falling priority; ties are in a scattered order of track ids.
     """
     if len(place_m) == 0 or budget == 0:
         return ()
@@ -323,7 +323,7 @@ def plan(
     columns = np.asarray(column_of(ground))
     if columns.shape != (len(ground),):
         raise ValueError(f"`column_of` must return one column per point, got shape {columns.shape}")
-    # ids rise from west to east when many are born at once: scattered, ties favour no side
+    # ids rise from west to east when many tracks start together: scattered, ties favour no side
     order = np.lexsort((track_id * 2654435761 % 2**32, -priority))
     chosen = match_columns(columns.reshape(count, spots)[order], priority[order], budget)
     taken = [(order[k], place_m[order[k], chosen[k]].tolist()) for k in np.flatnonzero(chosen >= 0)]
@@ -335,28 +335,27 @@ def plan(
 def detection_gain(
     targets: Targets,
     population: identity.Population,
-    design: TrackDesign,
     costs: update.AssociationCosts,
     share: Float[Array, "pair"],
     count: int,
 ) -> Float[Array, "detection"]:
-    """Entropy that a spectrum of each detection is expected to take away, now and later. [nat]
+    """Expected reduction of entropy by a spectrum of each detection, now and later. [nat]
 
-    Whose a detection is has the probabilities of belief propagation, times that its owner is a vehicle at
-    all; what is left is nobody's. A spectrum is drawn from what is known of its owner's, or from anybody's.
-    *Now* is the mutual information of both: also what a spectrum says on whether a young target is one thing.
-    *Later* it is a reference for its owner, which serves the owner's contention and, since that changes, the
-    mean of all: the variance of the mean of n spectra falls by 1/(n + 1) − 1/(n + 2). That spectra may be
-    mistaken (`track.identity.outlier_share`) is left out.
+    The owner of a detection has the probabilities of the association, times the probability that its target
+    exists; the rest is a new vehicle or clutter. *Now* is the mutual information of owner and spectrum, which
+    includes evidence on whether a young target is one object. *Later* the spectrum is a reference for its
+    owner, for the owner's contention and, since that changes, the mean of all: the variance of the mean of n
+    spectra falls by 1/(n + 1) − 1/(n + 2). Outliers (`track.identity.outlier_share`) are neglected.
 
     Parameters
     ----------
     targets
         Predicted to the frame.
-    population, design
-        Of spectral features, and of the tracker.
+    population
+        Population of spectral features.
     costs, share
-        Of the gated pairs, without spectra: from `update.association_costs` and `assignment.marginals`.
+        Costs and probabilities of the gated pairs, without spectra: from `update.association_costs` and
+        `assignment.marginals`.
     count
         Number of detections.
     """
@@ -364,54 +363,34 @@ def detection_gain(
     along, ratio = identity.along_axes(population, targets.feature, targets.spectra)
     order = np.argsort(costs.partners, kind="stable")
     first = np.searchsorted(costs.partners[order], np.arange(count + 1))
-    later = FRAMES_AHEAD * _later(costs.tracks, share, targets.spectra)[order] * owned[order]
-    limit = 0.5 * design.identity.cap
+    contention = np.bincount(costs.tracks, _binary_entropy(np.clip(share, 0.0, 1.0)), len(targets))
+    spectra = targets.spectra[costs.tracks]
+    later = (contention[costs.tracks] + contention.mean()) / ((spectra + 1) * (spectra + 2))
+    later = FRAMES_AHEAD * later[order] * owned[order]
     mean, variance = identity.next_spectrum(along[:, : len(ratio)], targets.spectra, ratio)
     out = np.zeros(count)
     for k, (low, high) in enumerate(pairwise(first.tolist())):
         owners = costs.tracks[order[low:high]]
-        information = _mutual_information(owned[order[low:high]], mean[owners], variance[owners], limit)
+        information = _mutual_information(owned[order[low:high]], mean[owners], variance[owners])
         out[k] = later[low:high].sum() + information
     return out
 
 
-def _later(
-    tracks: Int[Array, "pair"], share: Float[Array, "pair"], spectra: Float[Array, "target"]
-) -> Float[Array, "pair"]:
-    """Gain of one more reference for the owner in each pair. [nat]"""
-    contention = np.bincount(tracks, _binary_entropy(np.clip(share, 0.0, 1.0)), len(spectra))
-    count = spectra[tracks]
-    return (contention[tracks] + contention.mean()) / ((count + 1) * (count + 2))
-
-
 def _mutual_information(
-    owned: Float[Array, "owner"],
-    mean: Float[Array, "owner axis"],
-    variance: Float[Array, "owner axis"],
-    limit: float,
+    owned: Float[Array, "owner"], mean: Float[Array, "owner axis"], variance: Float[Array, "owner axis"]
 ) -> float:
     """Mutual information of the owner of a detection and its spectrum. [nat]
 
     By the bound of Kolchinsky and Tracey, Entropy 19, 361 (2017), Eq. (10) with α = ½:
-    −Σᵢ wᵢ ln Σₖ wₖ exp(−Bᵢₖ), of B the Bhattacharyya distances; exact where all are alike or all apart, but
-    that distances are cut off at half the likelihood ratio's cap.
+    −Σᵢ wᵢ ln Σₖ wₖ exp(−Bᵢₖ), with the Bhattacharyya distances B; exact where all are alike or all apart,
+    except that distances are limited to half of `identity.MAX_RATIO_NAT`.
     """
-    share = np.append(owned, 1 - owned.sum())  # the last is anybody: a new vehicle, or none
+    share = np.append(owned, 1 - owned.sum())  # the last is a new vehicle or clutter
     mean = np.concatenate([mean, np.zeros((1, mean.shape[1]))])
     variance = np.concatenate([variance, np.ones((1, variance.shape[1]))])
     total = variance[:, None] + variance
     spread = 0.5 * np.log(0.5 * total / np.sqrt(variance[:, None] * variance))
     apart = (0.25 * (mean[:, None] - mean) ** 2 / total + spread).sum(axis=2)
-    alike = np.exp(-np.minimum(apart, limit)) @ np.maximum(share, 0.0)
+    alike = np.exp(-np.minimum(apart, 0.5 * identity.MAX_RATIO_NAT)) @ np.maximum(share, 0.0)
     likely = share > 0
     return float(-(share[likely] * np.log(np.minimum(alike[likely], 1.0))).sum())
-
-
-def _owner_of(
-    costs: update.AssociationCosts, share: Float[Array, "pair"], count: int
-) -> Int[Array, "detection"]:
-    """The likeliest target of each detection, −1 where none may have it."""
-    out = np.full(count, -1)
-    order = np.argsort(share, kind="stable")
-    out[costs.partners[order]] = costs.tracks[order]  # the likeliest is written last
-    return out

@@ -1,9 +1,9 @@
 """Report tracks: at once, with a fixed lag, or back to where a track was before it was confirmed.
 
-With existence reporting, `ReportingDesign.lag_s` after an epoch more is known of its tracks: which were
-measured again, which were lost, and which were detected later. A track in a gap was on the straight line
-between two measurements; one first measured within the lag was where its motion leads back to. The log odds
-of existence then are a logistic model of all that is known (``data/calibration/existence_smoothed.toml``;
+With existence reporting, the tracks of an epoch are reported `ReportingDesign.lag_s` later. Then it is known
+which were measured again, lost, or detected later. A track in a gap was on the straight line between two
+measurements. One first measured within the lag is extrapolated back along its motion. The log odds of
+existence are a logistic model of these observations (``data/calibration/existence_smoothed.toml``;
 ``python tools/calibrate.py existence`` fits it). Tracking and queries for spectra do not wait.
 """
 
@@ -19,13 +19,14 @@ from glintrack.core import schema
 from glintrack.core.arrays import Array
 from glintrack.track import existence
 from glintrack.track.calibration import read_calibration
-from glintrack.track.initiation import Targets, rows_among, select
+from glintrack.track.design import TrackDesign
+from glintrack.track.initiation import Targets, find_rows, select
 from glintrack.track.state import TrackerState
 
-MAX_LOG_ODDS = 6.0  # a lost track has the negative of it
-MAX_BACK_S = 1.5  # before its first measurement a track is reported no earlier
-MIN_BACK_HITS = 2  # measurements from which the motion leads back
-DUPLICATE_M = 4.0  # nearer to another candidate it is the same vehicle
+MAX_LOG_ODDS = 6.0  # a lost track has its negative
+MAX_BACK_S = 1.5  # maximum extrapolation before the first measurement
+MIN_BACK_HITS = 2  # minimum measurements for an extrapolation
+DUPLICATE_M = 4.0  # an extrapolated track nearer to a candidate is the same vehicle
 HISTORY_DUPLICATE_M = 3.0  # from a position already reported at that time: the same vehicle
 _ROUNDING_S = 1e-6
 
@@ -37,7 +38,7 @@ def tracks_to_dataset(
     covariance: Float[Array, "track 4 4"],
     coasted: Bool[Array, "track"],
 ) -> xr.Dataset:
-    """Tracks of one epoch, as a Dataset of the schema ``tracks``.
+    """Convert tracks of one epoch to a Dataset of the schema ``tracks``.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def tracks_to_dataset(
     mean, covariance
         State ``[east, north, east speed, north speed]``. [m, m s⁻¹]
     coasted
-        Whether each track was not measured.
+        Mask of the tracks that were not measured.
     """
     columns = {
         "east": (mean[:, 0], "m"),
@@ -69,7 +70,7 @@ def tracks_to_dataset(
 
 
 def report(state: TrackerState) -> xr.Dataset:
-    """Reported tracks of the last epoch, without a lag, as a Dataset of the schema ``tracks``."""
+    """Report the tracks of the last epoch, without a lag, as a Dataset of the schema ``tracks``."""
     targets, shown, design = state.targets, state.targets.confirmed, state.effective_design
     if not design.reporting.coasted:
         shown = shown & (targets.misses == 0)
@@ -85,14 +86,14 @@ def report(state: TrackerState) -> xr.Dataset:
 
 @dataclass(frozen=True)
 class PendingEpoch:
-    """What is kept of an epoch until its tracks are reported.
+    """Epoch whose tracks are not yet reported.
 
     Parameters
     ----------
     time_s
         Epoch. [s]
-    channel, max_false_share, coasted
-        Channel of the existence model, and the keys of the design.
+    design
+        Design of the tracker.
     targets, log_odds
         One target of each vehicle (`existence.leaders`), confirmed or not, and its log odds. [nat]
     measured_s, measured_at
@@ -104,9 +105,7 @@ class PendingEpoch:
     """
 
     time_s: float
-    channel: str
-    max_false_share: float
-    coasted: bool
+    design: TrackDesign
     targets: Targets
     log_odds: Float[Array, "target"]
     measured_s: Float[Array, "target"]
@@ -117,7 +116,7 @@ class PendingEpoch:
 
 @dataclass(frozen=True)
 class ReportCandidates:
-    """Tracks that may be reported of an epoch, by what is known at the end of the lag.
+    """Tracks of an epoch that may be reported at the end of the lag.
 
     Parameters
     ----------
@@ -133,47 +132,47 @@ class ReportCandidates:
     coasted: Bool[Array, "track"]
     features: Float[Array, "track feature"]
 
-    def select(self, index: Bool[Array, "track"] | Int[Array, "kept"]) -> "ReportCandidates":
-        """The candidates at an index or mask."""
+    def select(self, index: Bool[Array, "track"] | Int[Array, "some"]) -> "ReportCandidates":
+        """Select the candidates at an index or mask."""
         return ReportCandidates(**{name: values[index] for name, values in vars(self).items()})
 
     def dataset(self, time_s: float) -> xr.Dataset:
-        """The candidates as a Dataset of the schema ``tracks``."""
+        """Convert the candidates to a Dataset of the schema ``tracks``."""
         return tracks_to_dataset(time_s, self.ident, self.mean, self.covariance, self.coasted)
 
 
 def advance(
     pending: Sequence[PendingEpoch], state: TrackerState, live: xr.Dataset
 ) -> tuple[tuple[PendingEpoch, ...], tuple[xr.Dataset, ...]]:
-    """Take in an epoch, and report those that are due.
+    """Add an epoch, and report those that are due.
 
     Parameters
     ----------
     pending
-        Epochs that wait; none at first.
+        Pending epochs; none at first.
     state, live
         The tracker after this epoch, and its `report`.
 
     Returns
     -------
-    The epochs that still wait, and the tracks of those that are due, the earliest first. Without a lag these
-    are ``live``.
+    The epochs that are still pending, and the tracks of those that are due, the earliest first. Without a lag
+    these are ``live``.
     """
     lag_s = state.effective_design.reporting.effective_lag_s
     if lag_s == 0:
         return (), (*flush(pending), live)
     epochs = (*pending, pending_epoch(pending[-1] if pending else None, state, live))
     due = sum(state.time_s - one.time_s >= lag_s - _ROUNDING_S for one in epochs)
-    return epochs[due:], tuple(_smoothed(epochs[k:]) for k in range(due))
+    return epochs[due:], tuple(_report_smoothed(epochs[k:]) for k in range(due))
 
 
 def flush(pending: Sequence[PendingEpoch]) -> tuple[xr.Dataset, ...]:
-    """Tracks of the epochs that wait, when no more follow."""
-    return tuple(_smoothed(pending[k:]) for k in range(len(pending)))
+    """Report the pending epochs, when no more follow."""
+    return tuple(_report_smoothed(pending[k:]) for k in range(len(pending)))
 
 
-def reported_epochs(states: Iterable[TrackerState]) -> Iterator[xr.Dataset]:
-    """Tracks of each epoch, with the lag of the design, from the states after each."""
+def report_epochs(states: Iterable[TrackerState]) -> Iterator[xr.Dataset]:
+    """Report the tracks of each epoch, with the lag of the design, from the states after each."""
     pending: tuple[PendingEpoch, ...] = ()
     for state in states:
         pending, due = advance(pending, state, report(state))
@@ -181,68 +180,8 @@ def reported_epochs(states: Iterable[TrackerState]) -> Iterator[xr.Dataset]:
     yield from flush(pending)
 
 
-@dataclass(frozen=True)
-class LabelledTracks:
-    """Tracks of an epoch that are reported at one or more limits of the false share.
-
-    Parameters
-    ----------
-    tracks
-        Schema ``tracks``.
-    at
-        Whether each track is reported at each limit.
-    """
-
-    tracks: xr.Dataset
-    at: Bool[Array, "share track"]
-
-
-def report_at_shares(
-    states: Iterable[TrackerState], max_false_shares: Sequence[float]
-) -> Iterator[LabelledTracks]:
-    """Like `reported_epochs`, at several limits of the false share in place of the design's own."""
-    waiting: list[tuple[PendingEpoch, TrackerState]] = []
-    for state in states:
-        if state.effective_design.reporting.effective_lag_s > 0:
-            before = waiting[-1][0] if waiting else None
-            waiting.append((pending_epoch(before, state, xr.Dataset()), state))
-            continue
-        yield from _smoothed_at_shares(waiting, max_false_shares)
-        waiting = []
-        yield _live_at_shares(state, max_false_shares)
-    yield from _smoothed_at_shares(waiting, max_false_shares)
-
-
-def _smoothed_at_shares(
-    waiting: Sequence[tuple[PendingEpoch, TrackerState]], max_false_shares: Sequence[float]
-) -> Iterator[LabelledTracks]:
-    """Tracks of epochs after which none follows."""
-    epochs, times_s = [one for one, _ in waiting], np.array([one.time_s for one, _ in waiting])
-    for k, (first, state) in enumerate(waiting):
-        known = np.flatnonzero(times_s - first.time_s >= state.design.reporting.lag_s - _ROUNDING_S)
-        last = known[0] if len(known) else len(epochs) - 1
-        if last == k:
-            yield _live_at_shares(state, max_false_shares)
-            continue
-        found, odds, may = _smoothed_odds(epochs[k : last + 1])
-        at = np.stack([existence.select_reported_tracks(odds, may, share) for share in max_false_shares])
-        once = np.flatnonzero(at.any(axis=0))
-        yield LabelledTracks(found.select(once).dataset(first.time_s), at[:, once])
-
-
-def _live_at_shares(state: TrackerState, max_false_shares: Sequence[float]) -> LabelledTracks:
-    """Tracks reported without a lag."""
-    designs = [state.design for _ in max_false_shares]
-    if state.effective_design.reporting.uses_existence:
-        designs = [state.design.replace({"reporting.max_false_share": share}) for share in max_false_shares]
-    reports = [report(replace(state, design=design)) for design in designs]
-    share = np.repeat(np.arange(len(reports)), [one.sizes["track"] for one in reports])
-    tracks = xr.concat(reports, "track", combine_attrs="override")
-    return LabelledTracks(tracks, share == np.arange(len(reports))[:, None])
-
-
 def pending_epoch(before: PendingEpoch | None, state: TrackerState, live: xr.Dataset) -> PendingEpoch:
-    """What is to be kept of an epoch, given the one before and the tracks reported at once."""
+    """Build the pending epoch of a state, given the one before and the tracks reported without a lag."""
     design, every = state.design, state.targets
     leader = existence.leaders(state.duplicates, every)
     leads = leader == np.arange(len(every))
@@ -251,14 +190,12 @@ def pending_epoch(before: PendingEpoch | None, state: TrackerState, live: xr.Dat
     measured_s = np.where(targets.misses == 0, state.time_s, np.nan)
     measured_at = targets.position.copy()
     if before is not None and len(before.targets):
-        row, known = rows_among(before.targets.id, targets.id)
+        row, known = find_rows(before.targets.id, targets.id)
         old = known & (targets.misses > 0)
         measured_s[old], measured_at[old] = before.measured_s[row[old]], before.measured_at[row[old]]
     return PendingEpoch(
         time_s=state.time_s,
-        channel=design.detect.channel,
-        max_false_share=design.reporting.max_false_share,
-        coasted=design.reporting.coasted,
+        design=design,
         targets=targets,
         log_odds=odds.clip(-MAX_LOG_ODDS, MAX_LOG_ODDS),
         measured_s=measured_s,
@@ -269,9 +206,8 @@ def pending_epoch(before: PendingEpoch | None, state: TrackerState, live: xr.Dat
 
 
 def report_candidates(epochs: Sequence[PendingEpoch]) -> ReportCandidates:
-    """Tracks that may be reported of the first of two or more epochs, by all that came after."""
-    now = _followed_tracks(epochs)
-    back = _extrapolated_tracks(epochs)
+    """Collect the tracks of the first of two or more epochs that may be reported."""
+    now, back = _present_tracks(epochs), _extrapolate_tracks(epochs)
     if len(now.ident) and len(back.ident):
         apart_m, _ = KDTree(now.mean[:, :2]).query(back.mean[:, :2])
         back = back.select(apart_m >= DUPLICATE_M)
@@ -279,48 +215,33 @@ def report_candidates(epochs: Sequence[PendingEpoch]) -> ReportCandidates:
     return ReportCandidates(**{name: np.concatenate([values, more]) for (name, values), more in both})
 
 
-def _smoothed(epochs: Sequence[PendingEpoch]) -> xr.Dataset:
-    """Tracks of the first of some epochs."""
-    first = epochs[0]
+def _report_smoothed(epochs: Sequence[PendingEpoch]) -> xr.Dataset:
+    """Report the first of some epochs."""
+    first, reporting = epochs[0], epochs[0].design.reporting
     if len(epochs) == 1:
         return first.live
-    found, odds, may = _smoothed_odds(epochs)
-    reported = existence.select_reported_tracks(odds, may, first.max_false_share)
+    found = report_candidates(epochs)
+    model = read_calibration("existence_smoothed").models[first.design.detect.channel]
+    may = ~found.coasted if not reporting.coasted else np.ones(len(found.ident), bool)
+    odds = model.log_odds(found.features)
+    reported = existence.select_reported_tracks(odds, may, reporting.max_false_share)
     return found.select(reported).dataset(first.time_s)
 
 
-def _smoothed_odds(
-    epochs: Sequence[PendingEpoch],
-) -> tuple[ReportCandidates, Float[Array, "track"], Bool[Array, "track"]]:
-    """Candidates of the first of some epochs, their log odds, and which may be reported."""
-    found = report_candidates(epochs)
-    odds = read_calibration("existence_smoothed").models[epochs[0].channel].log_odds(found.features)
-    return found, odds, ~found.coasted if not epochs[0].coasted else np.ones(len(odds), bool)
-
-
-def _followed_tracks(epochs: Sequence[PendingEpoch]) -> ReportCandidates:
+def _present_tracks(epochs: Sequence[PendingEpoch]) -> ReportCandidates:
     """Targets of the first of some epochs that are confirmed by the last."""
     first, later = epochs[0], epochs[1:]
     targets, n = first.targets, len(first.targets)
-    last_odds, max_odds, confirmed = (
-        np.full(n, -MAX_LOG_ODDS),
-        first.log_odds.copy(),
-        targets.confirmed.copy(),
-    )
-    hits, alive = np.zeros(n), np.zeros(n, bool)
-    again_s, again_at = np.full(n, np.nan), targets.position.copy()
+    last_odds, max_odds = np.full(n, -MAX_LOG_ODDS), first.log_odds.copy()
+    confirmed = targets.confirmed.copy()
+    hits, again_s, again_at = _first_measurements(targets, later)
+    alive = np.zeros(n, bool)
     for one in later:
-        row, alive = rows_among(one.targets.id, targets.id)
-        if not len(one.targets):
-            last_odds[:] = -MAX_LOG_ODDS
-            continue
-        last_odds = np.where(alive, one.log_odds[row], -MAX_LOG_ODDS)
-        max_odds = np.where(alive, np.maximum(max_odds, one.log_odds[row]), max_odds)
-        confirmed |= alive & one.targets.confirmed[row]
-        measured = alive & (one.targets.misses[row] == 0)
-        fresh = measured & np.isnan(again_s)
-        again_s[fresh], again_at[fresh] = one.time_s, one.targets.position[row[fresh]]
-        hits += measured
+        row, alive = find_rows(one.targets.id, targets.id)
+        last_odds = np.full(n, -MAX_LOG_ODDS)
+        last_odds[alive] = one.log_odds[row[alive]]
+        max_odds = np.maximum(max_odds, last_odds)
+        confirmed[alive] |= one.targets.confirmed[row[alive]]
     missed = targets.misses > 0
     gap = missed & np.isfinite(again_s) & np.isfinite(first.measured_s)
     part = (first.time_s - first.measured_s[gap]) / (again_s[gap] - first.measured_s[gap])
@@ -334,20 +255,28 @@ def _followed_tracks(epochs: Sequence[PendingEpoch]) -> ReportCandidates:
     return ReportCandidates(targets.id, mean, targets.covariance, missed, features).select(confirmed)
 
 
-def _extrapolated_tracks(epochs: Sequence[PendingEpoch]) -> ReportCandidates:
-    """Targets first measured after the first of some epochs, where their motion leads back to."""
+def _first_measurements(
+    targets: Targets, later: Sequence[PendingEpoch]
+) -> tuple[Float[Array, "target"], Float[Array, "target"], Float[Array, "target 2"]]:
+    """Number of measurements of each target in later epochs, and time and position of the first. [1, s, m]"""
+    hits, first_s = np.zeros(len(targets)), np.full(len(targets), np.nan)
+    first_at = targets.position.copy()
+    for one in later:
+        row, alive = find_rows(one.targets.id, targets.id)
+        measured = np.flatnonzero(alive)
+        measured = measured[one.targets.misses[row[measured]] == 0]
+        fresh = measured[np.isnan(first_s[measured])]
+        first_s[fresh], first_at[fresh] = one.time_s, one.targets.position[row[fresh]]
+        hits[measured] += 1
+    return hits, first_s, first_at
+
+
+def _extrapolate_tracks(epochs: Sequence[PendingEpoch]) -> ReportCandidates:
+    """Extrapolate targets that were first measured after the first of some epochs back to it."""
     first, later, last = epochs[0], epochs[1:], epochs[-1]
     new = last.targets.confirmed & ~np.isin(last.targets.id, first.known)
     targets, odds = select(last.targets, new), last.log_odds[new]
-    hits, born_s, born_at = np.zeros(len(odds)), np.full(len(odds), np.nan), targets.position.copy()
-    for one in later:
-        row, alive = rows_among(one.targets.id, targets.id)
-        if not len(one.targets):
-            continue
-        measured = alive & (one.targets.misses[row] == 0)
-        fresh = measured & np.isnan(born_s)
-        born_s[fresh], born_at[fresh] = one.time_s, one.targets.position[row[fresh]]
-        hits += measured
+    hits, born_s, born_at = _first_measurements(targets, later)
     before_s = born_s - first.time_s
     mean = np.concatenate([born_at - before_s[:, None] * targets.mean[:, 2:], targets.mean[:, 2:]], axis=1)
     ones, none = np.ones(len(odds)), np.zeros(len(odds))
@@ -360,7 +289,7 @@ def _extrapolated_tracks(epochs: Sequence[PendingEpoch]) -> ReportCandidates:
 
 @dataclass(frozen=True)
 class PastState:
-    """State of one track at one time, and whether it was measured then."""
+    """State of one track at one time, measured or not."""
 
     time_s: float
     mean: Float[Array, "4"]
@@ -374,15 +303,15 @@ class History:
 
     Parameters
     ----------
-    waiting
-        States of each track that wait, the oldest first.
+    pending
+        Pending states of each track, the oldest first.
     reported
-        Positions reported at each time, as far back as any state that waits. [m]
+        Positions reported at each time, as far back as any pending state. [m]
     last
         Last measured state of each confirmed track.
     """
 
-    waiting: Mapping[int, tuple[PastState, ...]] = field(default_factory=dict)
+    pending: Mapping[int, tuple[PastState, ...]] = field(default_factory=dict)
     reported: Mapping[float, np.ndarray] = field(default_factory=dict)
     last: Mapping[int, PastState] = field(default_factory=dict)
 
@@ -392,8 +321,8 @@ def report_history(
 ) -> tuple[History, list[tuple[float, xr.Dataset]]]:
     """Report earlier states of tracks confirmed now, and gaps of tracks measured again.
 
-    The earlier states are those that the tracker held tentatively, and the positions that a detector found in
-    earlier frames. A gap is filled by a straight line between the two measurements.
+    The earlier states are those of the tentative track, and the positions that a detector found in earlier
+    frames. A gap is filled by a straight line between the two measurements.
 
     Parameters
     ----------
@@ -408,39 +337,51 @@ def report_history(
     1.
     """
     targets, coasted = state.targets, state.design.reporting.coasted
-    waiting, last, known = {}, {}, {}
+    pending, last, known = {}, {}, {}
     reported = {**history.reported, state.time_s: np.stack([live["east"], live["north"]], axis=-1)}
     for k, ident in enumerate(targets.id.tolist()):
         measured, confirmed = bool(targets.misses[k] == 0), bool(targets.confirmed[k])
         now = PastState(state.time_s, targets.mean[k], targets.covariance[k], measured)
-        before = history.waiting.get(ident)
+        before = history.pending.get(ident)
         if before is None:
             before = () if ident in history.last else _states_before_birth(state, k)
         if not confirmed:
-            waiting[ident] = (*before, now)
+            pending[ident] = (*before, now)
         elif measured:
             past = (*before, now) if ident not in history.last else (history.last[ident], *before, now)
-            for one in _with_gaps_filled(past)[len(past) - len(before) - 1 : -1]:
+            for one in _fill_gaps(past)[len(past) - len(before) - 1 : -1]:
                 known.setdefault(one.time_s, []).append((ident, one))
             last[ident] = now
         else:
-            waiting[ident] = before if coasted else (*before, now)
+            pending[ident] = before if coasted else (*before, now)
             last[ident] = history.last.get(ident, now)
     out = []
     for time_s in sorted(known):
         others = reported.get(time_s, np.empty((0, 2)))
-        fresh = [(ident, one) for ident, one in known[time_s] if _is_apart(one.mean[:2], others)]
+        fresh = [
+            (ident, one)
+            for ident, one in known[time_s]
+            if not (np.hypot(*(others - one.mean[:2]).T) < HISTORY_DUPLICATE_M).any()
+        ]
         if fresh:
-            out.append((time_s, _tentative_tracks(fresh, time_s)))
+            tracks = tracks_to_dataset(
+                time_s,
+                np.array([ident for ident, _ in fresh]),
+                np.array([one.mean for _, one in fresh]),
+                np.array([one.covariance for _, one in fresh]),
+                np.array([not one.measured for _, one in fresh]),
+            )
+            tentative = ("track", np.ones(len(fresh)), {"units": "1"})
+            out.append((time_s, tracks.assign(tentative=tentative)))
             reported[time_s] = np.concatenate([others, [one.mean[:2] for _, one in fresh]])
-    oldest = min((states[0].time_s for states in waiting.values() if states), default=state.time_s)
+    oldest = min((states[0].time_s for states in pending.values() if states), default=state.time_s)
     oldest = min([oldest, *state.detections.earlier_s])
-    kept = {time_s: positions for time_s, positions in reported.items() if time_s >= oldest}
-    return History(waiting, kept, last), out
+    recent = {time_s: positions for time_s, positions in reported.items() if time_s >= oldest}
+    return History(pending, recent, last), out
 
 
 def _states_before_birth(state: TrackerState, k: int) -> tuple[PastState, ...]:
-    """Earlier states of a new track, by the detector's own earlier positions."""
+    """Earlier states of a new track, from the detector's own earlier positions."""
     found, targets = state.detections, state.targets
     if found.earlier is None or not len(found):
         return ()
@@ -453,8 +394,8 @@ def _states_before_birth(state: TrackerState, k: int) -> tuple[PastState, ...]:
     return tuple(out)
 
 
-def _with_gaps_filled(states: tuple[PastState, ...]) -> tuple[PastState, ...]:
-    """The states, those not measured moved onto the straight line between measured ones."""
+def _fill_gaps(states: tuple[PastState, ...]) -> tuple[PastState, ...]:
+    """Move the states that were not measured onto the straight line between measured ones."""
     if all(one.measured for one in states):
         return states
     times = np.array([one.time_s for one in states])
@@ -465,18 +406,3 @@ def _with_gaps_filled(states: tuple[PastState, ...]) -> tuple[PastState, ...]:
         one if one.measured else replace(one, mean=np.r_[xy, one.mean[2:]])
         for one, xy in zip(states, line, strict=True)
     )
-
-
-def _is_apart(position: Float[Array, "2"], others: Float[Array, "n 2"]) -> bool:
-    return not (np.hypot(*(others - position).T) < HISTORY_DUPLICATE_M).any()
-
-
-def _tentative_tracks(states: list[tuple[int, PastState]], time_s: float) -> xr.Dataset:
-    tracks = tracks_to_dataset(
-        time_s,
-        np.array([ident for ident, _ in states]),
-        np.array([one.mean for _, one in states]),
-        np.array([one.covariance for _, one in states]),
-        np.array([not one.measured for _, one in states]),
-    )
-    return tracks.assign(tentative=("track", np.ones(len(states)), {"units": "1"}))

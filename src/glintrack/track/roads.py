@@ -1,4 +1,4 @@
-"""A road map as the tracker may have one: vehicles are on roads, and drive along them."""
+"""Road map of the tracker: vehicles are on roads, and drive along them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +9,8 @@ from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
 
+SIGMA_M = 2.0  # width of the Gaussian by which the density of vehicles falls beyond the road
+MAX_COST_NAT = 4.0  # of a detection off the road: vehicles may stand anywhere
 HALF_WIDTH_M = 3.0  # within this distance of a lane's centre line a detection is on the road
 ACROSS_SIGMA_M_S = 2.0  # standard deviation of a new track's speed across its road
 SPACING_M = 1.0  # of the points that stand for a line: distances are too long by less than 0.13 m at 1 m
@@ -21,7 +23,7 @@ class Roads:
     Parameters
     ----------
     tree
-        Of the points. [m]
+        Tree of the points. [m]
     along
         Unit vector along the line at each point.
     """
@@ -29,21 +31,11 @@ class Roads:
     tree: KDTree
     along: Float[Array, "point 2"]
 
-    def off_road_cost(self, position_m: Float[Array, "n 2"], sigma_m: float, cap: float) -> Float[Array, "n"]:
-        """−ln of how much rarer vehicles are there than on a road. [nat]
-
-        Parameters
-        ----------
-        position_m
-            East and north. [m]
-        sigma_m
-            Beyond it density falls as a Gaussian of this width. [m]
-        cap
-            Vehicles may stand anywhere: it never costs more. [nat]
-        """
+    def off_road_cost(self, position_m: Float[Array, "n 2"]) -> Float[Array, "n"]:
+        """Cost of a detection off the road: −ln of the density of vehicles relative to the road. [nat]"""
         distance, _ = self.tree.query(position_m)
-        excess = np.maximum(distance - HALF_WIDTH_M, 0.0) / sigma_m
-        return np.minimum(0.5 * excess**2, cap)
+        excess = np.maximum(distance - HALF_WIDTH_M, 0.0) / SIGMA_M
+        return np.minimum(0.5 * excess**2, MAX_COST_NAT)
 
     def speed_covariance(self, position_m: Float[Array, "n 2"], along_m_s: float) -> Float[Array, "n 2 2"]:
         """Covariance of the velocity of a vehicle on the nearest road, either way along it. [m² s⁻²]"""
@@ -71,7 +63,8 @@ def roads_of(lines: Sequence[Float[Array, "point 2"]]) -> Roads:
         for start, step, length in zip(line, steps, lengths, strict=False):
             if length == 0:
                 continue
-            share = (np.arange(max(1, round(length / SPACING_M))) + 0.5) / max(1, round(length / SPACING_M))
+            count = max(1, round(length / SPACING_M))
+            share = (np.arange(count) + 0.5) / count
             points.append(start + share[:, None] * step)
             along.append(np.repeat(step[None] / length, len(share), axis=0))
     if not points:

@@ -1,7 +1,7 @@
 """The tracker: frames and queried spectra in, tracks and the next queries out.
 
-Its whole state is a frozen record of arrays; `step` returns a new one. Tracks are kept by log-likelihood
-ratio and M of N, detections assigned one to one at least cost. It never sees the truth.
+Its whole state is a frozen record of arrays; `step` returns a new one. Tracks are confirmed by log-likelihood
+ratio and M of N. Detections are assigned one to one at least cost. The tracker never sees the truth.
 """
 
 import math
@@ -16,11 +16,18 @@ from glintrack.core.arrays import Array
 from glintrack.core.records import SpectralQuery
 from glintrack.track import clutter, existence, hypotheses, identity, update
 from glintrack.track.design import TrackDesign
-from glintrack.track.detect.detections import Association, Detections, no_detections, order
+from glintrack.track.detect.detections import Association, Detections, order
 from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.frame import Frame, Grid
-from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
-from glintrack.track.initiation import joined, newborn, no_targets, prune, select, unclaimed
+from glintrack.track.frame_detections import FrameDetections, detect_frame, prepare_detections
+from glintrack.track.initiation import (
+    concatenate,
+    initiate,
+    no_targets,
+    prune,
+    select,
+    select_unassigned,
+)
 from glintrack.track.queries import ColumnOf, query_predictions
 from glintrack.track.roads import roads_of
 from glintrack.track.state import TrackerState
@@ -31,19 +38,22 @@ def start(
     seed: int = 0,
     roads: Sequence[Float[Array, "point 2"]] | None = None,
     detector: Detector | None = None,
+    features: int = identity.BINS,
 ) -> TrackerState:
-    """A tracker that has seen nothing.
+    """Start a tracker, before the first frame.
 
     Parameters
     ----------
     design
-        The default design if none is given.
+        Design of the tracker; the default design if none is given.
     seed
-        Of the random query policy, and of which bare road is asked; each frame draws from (seed, frame).
+        Seed of the random query policy and of the queries of the ground; each frame draws from (seed, frame).
     roads
         Centre lines of lanes (east, north) [m]; used if the design has ``roads.prior``.
     detector
-        What finds vehicles in frames; by default `detector_of` the design and the first frame.
+        Detector of vehicles; by default `detector_of` the design and the first frame.
+    features
+        Number of spectral features.
 
     Raises
     ------
@@ -53,25 +63,17 @@ def start(
     design = TrackDesign() if design is None else design
     if design.roads.prior and not roads:
         raise ValueError("`roads` must be given where the design has roads.prior, got none")
-    network = roads_of(roads) if design.roads.prior and roads else None
-    population = identity.empty_population(design.identity.bins)
+    population, targets = identity.empty_population(features), no_targets(design, features)
+    uses_leaves = design.association.method == "mht"
     return TrackerState(
         design=design,
         detector=detector,
         seed=int(seed),
-        frame=0,
-        time_s=-math.inf,
-        interval_s=0.0,
-        grid=None,
-        memory=None,
-        clutter=None,
-        targets=no_targets(design),
-        next_id=0,
+        targets=targets,
         population=population,
-        detections=no_detections(),
-        roads=network,
         ground=population,
-        leaves=hypotheses.no_leaves(design) if design.association.method == "mht" else None,
+        roads=roads_of(roads) if design.roads.prior and roads else None,
+        leaves=hypotheses.no_leaves(targets, design.association.scans) if uses_leaves else None,
     )
 
 
@@ -81,20 +83,19 @@ def step(
     spectra: xr.Dataset | None = None,
     column_of: ColumnOf | None = None,
 ) -> tuple[TrackerState, tuple[SpectralQuery, ...]]:
-    """One frame: detect, associate, update, and ask for the next frame's spectra if that is when.
+    """Process one frame: detect, associate, update, and query the next frame's spectra.
 
     Parameters
     ----------
     state
         From `start` or the step before; not changed.
     frame
-        On the same ground grid as before, later than the last. Or its `detect_frame`, where spectra were
-        taken of its detections (`query_detections`).
+        On the same ground grid as before, later than the last. Or its `detect_frame`, if spectra were
+        measured of its detections (`query_detections`).
     spectra
-        Dataset of the schema ``spectra`` with what the sensor measured for the last queries; None or empty if
-        there is none.
+        Dataset of the schema ``spectra``, measured for the last queries; None or empty for none.
     column_of
-        Superpixel column of ground points (n, 3), −1 off the array; None asks for no spectra.
+        Superpixel column of ground points (n, 3), −1 off the array; None for no queries.
 
     Returns
     -------
@@ -111,17 +112,21 @@ def step(
     detector = seen.detector
     if detector is None or seen.frame is None or seen.given is None or seen.order is None:
         raise ValueError("`frame` must be a frame or what was detected in one, got detections alone")
-    spectral, missed = _spectral_features(state.design, spectra, seen)
-    if len(missed):
-        state = replace(state, ground=update.update_ground(state, missed))
-    evidence = update.evidence_of(state, spectral)
-    new, explained = _step(state, seen, evidence)
+    bins = len(state.population.mean)
+    spectral, ground = np.full((len(seen.found), bins), np.nan), np.empty((0, bins))
+    if spectra is not None and spectra.sizes.get("query", 0):
+        of_ground = spectra["track_id"].values < 0
+        _, ground = identity.spectral_features(spectra.isel(query=of_ground), bins)
+        where, values = identity.spectral_features(spectra.isel(query=~of_ground), bins)
+        if state.design.query.at == "detection":
+            where = where - np.array(seen.found.displacement_m)
+        spectral = identity.attach(where, values, seen.found.position, identity.ATTACH_RADIUS_M)
+    new, explained = _step(state, seen, spectral, ground)
     measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
     own = np.zeros(len(explained), bool)
     own[seen.order] = explained
     memory = detector.update(seen.memory, seen.frame, seen.given, Association(own, measured))
-    # what its detector noted beside them is of no more use, and large
-    found = replace(new.detections, detail=None)
+    found = replace(new.detections, detail=None)  # the detector's notes are large
     return query_predictions(replace(new, detector=detector, memory=memory, detections=found), column_of)
 
 
@@ -133,24 +138,24 @@ def step_detections(
     features: Float[Array, "detection feature"] | None = None,
     ground: Float[Array, "spectrum feature"] | None = None,
 ) -> TrackerState:
-    """One epoch of somebody else's detections, without an image.
+    """Process one epoch of the detections of another program, without an image.
 
     Parameters
     ----------
     state
         From `start` or the step before; not changed.
     found
-        Detections of the epoch, in any order; none is fine. Or the `given_detections` of
-        them, where spectra were taken (`query_detections`).
+        Detections of the epoch, in any order, or none. Or their `prepare_detections`, if spectra were
+        measured (`query_detections`).
     time_s
         Epoch, later than the last. [s]
     grid
-        Area in which targets live, and in which the density of false detections is learnt.
+        Area in which targets live, and in which the clutter density is measured.
     features
-        Of each detection (in the order of the `FrameDetections` if those are given), as many as
-        ``design.identity.bins``; a row of NaN for one that has none.
+        Spectral features of each detection (in the order of the `FrameDetections` if those are given), in the
+        number given to `start`; a row of NaN for none.
     ground
-        Of spectra asked of the ground.
+        Spectral features of queries of the ground.
 
     Raises
     ------
@@ -158,36 +163,37 @@ def step_detections(
         If a detection is not finite, the features have another size, time does not advance, or the frame
         detections are of another state, time or grid.
     """
-    seen = found if isinstance(found, FrameDetections) else given_detections(state, found, time_s, grid)
+    seen = found if isinstance(found, FrameDetections) else prepare_detections(state, found, time_s, grid)
     seen.check(state, time_s)
     if seen.grid != grid:
         raise ValueError(f"`grid` must be the detections' {seen.grid}, got {grid}")
-    shape = (len(seen.found), state.design.identity.bins)
-    unknown = features is None
-    features = np.full(shape, np.nan) if unknown else np.asarray(features, float)
-    if features.shape != shape:
+    shape = (len(seen.found), len(state.population.mean))
+    spectral = np.full(shape, np.nan) if features is None else np.asarray(features, float)
+    if spectral.shape != shape:
         raise ValueError(
             f"`features` must have a row of {shape[1]} for each of {shape[0]} detections, "
-            f"got shape {features.shape}"
+            f"got shape {spectral.shape}"
         )
-    if not (unknown or isinstance(found, FrameDetections)):
-        features = features[order(found)]
+    if isinstance(found, Detections):
+        spectral = spectral[order(found)]
     ground = np.empty((0, shape[1])) if ground is None else np.asarray(ground, float)
     if ground.ndim != 2 or ground.shape[1] != shape[1]:
         raise ValueError(f"`ground` must have rows of {shape[1]} features, got shape {ground.shape}")
-    if len(ground):
-        state = replace(state, ground=update.update_ground(state, ground))
-    return _step(state, seen, update.evidence_of(state, features))[0]
+    return _step(state, seen, spectral, ground)[0]
 
 
 def _step(
-    state: TrackerState, seen: FrameDetections, evidence: update.Evidence
+    state: TrackerState,
+    seen: FrameDetections,
+    spectral: Float[Array, "detection feature"],
+    ground: Float[Array, "spectrum feature"],
 ) -> tuple[TrackerState, Bool[Array, "detection"]]:
-    """The state after an epoch's detections, and which of them a confirmed track explains."""
-    found, grid, interval_s = seen.found, seen.grid, seen.interval_s
+    """State after an epoch's detections, and the mask of those that confirmed tracks explain."""
+    found, grid, leaves = seen.found, seen.grid, state.leaves
     design = state.design.effective(found.log_likelihood_ratio is not None)
     uses_existence = design.reporting.uses_existence
-    before, leaves = replace(state, design=design), state.leaves
+    before = replace(state, design=design, ground=update.update_ground(state, ground))
+    evidence = update.spectral_evidence(before, spectral)
     if leaves is None:
         targets, assigned, population = update.advance_targets(before, seen, evidence)
     else:
@@ -196,56 +202,35 @@ def _step(
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
     targets = prune(design, targets, grid)
-    fresh = update.without_ground(state, evidence)
-    index = unclaimed(design, targets, found.position, assigned)
-    born = newborn(
-        design, found, fresh, index, state.next_id, state.roads, targets if uses_existence else None
-    )
+    index = select_unassigned(design, targets, found.position, assigned)
+    features = update.vehicle_features(before, evidence)
+    apart_from = targets if uses_existence else None
+    born = initiate(design, found, features, index, state.next_id, state.roads, apart_from)
     if leaves is not None:
         leaves = hypotheses.prune(leaves, targets, born, index, state.frame)
-    targets = joined(targets, born)
+    targets, duplicates = concatenate(targets, born), state.duplicates
     next_id = max(state.next_id, int(targets.id.max(initial=-1)) + 1)
     if uses_existence:
-        ids = existence.reassign_ids(state.targets, targets, interval_s, next_id)
+        ids = existence.reassign_ids(state.targets, targets, seen.interval_s, next_id)
         if (ids >= next_id).any():
-            leaves = None if leaves is None else hypotheses.renamed(leaves, targets.id, ids)
+            leaves = None if leaves is None else hypotheses.rename_trees(leaves, targets.id, ids)
             next_id = int(ids.max()) + 1
             targets = select(replace(targets, id=ids), np.argsort(ids))
-    share = 1 - math.exp(-interval_s / clutter.CLUTTER_S)
+        duplicates = existence.update_duplicates(duplicates, targets)
+    share = 1 - math.exp(-seen.interval_s / clutter.CLUTTER_S)
     new = replace(
         state,
         frame=state.frame + 1,
         time_s=seen.time_s,
-        interval_s=interval_s,
+        interval_s=seen.interval_s,
         grid=grid,
         clutter=clutter.update(clutter.map_of(state, grid), grid, found.position, explained, share),
         targets=targets,
         next_id=next_id,
         population=population,
+        ground=before.ground,
         detections=found,
-        motion=seen.motion,
         leaves=leaves,
-        duplicates=existence.update_duplicates(state.duplicates, targets)
-        if uses_existence
-        else state.duplicates,
+        duplicates=duplicates,
     )
     return new, explained
-
-
-def detections(state: TrackerState) -> Detections:
-    """Detections of the last frame; ``.records()`` gives them one by one."""
-    return state.detections
-
-
-def _spectral_features(
-    design: TrackDesign, spectra, seen: FrameDetections
-) -> tuple[Float[Array, "detection feature"], Float[Array, "spectrum feature"]]:
-    """Of each detection, NaN for none; and of the spectra asked of the ground."""
-    if not isinstance(spectra, xr.Dataset) or spectra.sizes.get("query", 0) == 0:
-        return np.full((len(seen.found), design.identity.bins), np.nan), np.empty((0, design.identity.bins))
-    bare = spectra["track_id"].values < 0
-    _, ground = identity.of_spectra(spectra.isel(query=bare), design.identity.bins)
-    where, values = identity.of_spectra(spectra.isel(query=~bare), design.identity.bins)
-    if design.query.at == "detection":
-        where = where - np.array(seen.found.displacement_m)
-    return identity.attach(where, values, seen.found.position, identity.ATTACH_RADIUS_M), ground

@@ -8,13 +8,13 @@ from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.track import assignment, identity
-from glintrack.track.initiation import Targets, followed, trust_after
+from glintrack.track.initiation import Targets, update_status
 from glintrack.track.motion import update_modes
 
 
 @dataclass(frozen=True)
 class Choice:
-    """How detections were associated: each track's one, and each gated pair with its probability."""
+    """Association of detections: each track's own one, and each gated pair with its probability."""
 
     assigned: Int[Array, "target"]
     tracks: Int[Array, "pair"]
@@ -24,10 +24,10 @@ class Choice:
 
 @dataclass(frozen=True)
 class AssociationCosts:
-    """What each gated pair and each miss costs, as in `assignment.assign`. [nat]
+    """Cost of each gated pair and of each miss, as in `assignment.assign`. [nat]
 
-    ``feature_ratio`` is what features take off a pair's cost. They say whose a detection is, not that there
-    is a vehicle: what stands about and flickers looks like itself too. Scores therefore leave it out.
+    ``feature_ratio`` is the part of a pair's cost that features lower. They are evidence of identity, not of
+    existence: a fixed object that flickers looks like itself too. Scores therefore leave it out.
     """
 
     tracks: Int[Array, "pair"]
@@ -39,40 +39,40 @@ class AssociationCosts:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is told of each detection besides its place.
+    """Spectral evidence of each detection.
 
     Parameters
     ----------
     spectral
-        Features, NaN where there are none.
+        Features, NaN for none.
     index
         Detections that have a spectrum.
     ground
-        How much more each of those spectra speaks for the ground than for a vehicle. [nat]
-    axes
-        Of the features (`identity.axes`); None while the population says nothing, or if nothing is told.
+        Log-likelihood ratio of ground against vehicle of each of those spectra. [nat]
     """
 
     spectral: Float[Array, "detection feature"]
     index: Int[Array, "spectrum"]
     ground: Float[Array, "spectrum"]
-    axes: tuple[Array, Array] | None = None
+
+    def pairs(self, detection: Int[Array, "pair"]) -> tuple[Int[Array, "some"], Int[Array, "some"]]:
+        """Pairs whose detection (−1 for none) has a spectrum, and the row of that spectrum."""
+        place = np.full(len(self.spectral) + 1, -1)
+        place[self.index] = np.arange(len(self.index))
+        pair = np.flatnonzero(place[detection] >= 0)
+        return pair, place[detection][pair]
 
 
-def evidence_of(state, spectral: Float[Array, "detection feature"]) -> Evidence:
-    """What is told of detections, seen with what the tracker knows of vehicles and of the ground."""
-    design, population = state.design, state.population
+def spectral_evidence(state, spectral: Float[Array, "detection feature"]) -> Evidence:
+    """Compare the spectra of detections with those of vehicles and of the ground."""
     index = np.flatnonzero(np.isfinite(spectral).all(axis=1))
-    ground = identity.ground_ratio(population, state.ground, spectral[index], design.identity.cap)
-    speaks = len(index) > 0 and identity.speaks(population)
-    axes = identity.axes(population) if speaks else None
-    return Evidence(spectral, index, ground, axes)
+    return Evidence(spectral, index, identity.ground_ratio(state.population, state.ground, spectral[index]))
 
 
 def association_costs(
     state, seen, targets: Targets, in_view: Float[Array, "target"], evidence: Evidence
 ) -> AssociationCosts:
-    """Which detections may be whose, and at what cost.
+    """Gate the pairs of targets and detections, and compute their costs.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def association_costs(
     targets, in_view
         Predicted targets, and the share of each one's surroundings that had data. [1]
     evidence
-        Of the detections.
+        Spectral evidence of the detections.
     """
     design, motion, found, density = state.design, seen.motion, seen.found, seen.density
     pairs, partners = assignment.gate(
@@ -98,20 +98,24 @@ def association_costs(
         cost = cost - velocity_ratio(targets, found, pairs, partners)
     feature_ratio = np.zeros(len(pairs))
     if len(evidence.index):
-        alike, of_pair = _feature_ratio(state, targets, pairs, partners, evidence)
-        feature_ratio[of_pair] = alike
+        of_pair, place = evidence.pairs(partners)
+        new, track = evidence.spectral[evidence.index[place]], pairs[of_pair]
+        alike = identity.log_likelihood_ratio(
+            state.population, targets.feature[track], targets.spectra[track], new
+        )
+        outlier_share = design.identity.outlier_share
+        feature_ratio[of_pair] = identity.outlier_mixture(alike, evidence.ground[place], outlier_share)[0]
     if state.roads is not None and len(found):
-        off_road = state.roads.off_road_cost(found.position, design.roads.sigma_m, design.roads.cap)
-        cost = cost + off_road[partners]
+        cost = cost + state.roads.off_road_cost(found.position)[partners]
     miss_cost = -np.log1p(-(targets.mode_probability @ motion.detection) * in_view)
     return AssociationCosts(pairs, partners, cost - feature_ratio, miss_cost, feature_ratio)
 
 
 def velocity_ratio(targets, found, pairs, partners) -> Float[Array, "pair"]:
-    """How much likelier a detection's motion is of the pair's target than of clutter. [nat]
+    """Log-likelihood ratio of a detection's velocity, of the pair's target against clutter. [nat]
 
-    With probability `Detections.velocity_share` it is the target's, with the detector's error; else, and of
-    clutter, it is any of those tried.
+    With probability `Detections.velocity_share` it is the target's, with the detector's error. Otherwise, and
+    for clutter, it is uniform over the velocities that the detector tries.
     """
     variance = found.velocity_sigma_m_s**2
     a = targets.covariance[pairs, 2, 2] + variance
@@ -124,138 +128,89 @@ def velocity_ratio(targets, found, pairs, partners) -> Float[Array, "pair"]:
     return np.log1p(share * (density * area - 1))
 
 
-def _feature_ratio(
-    state, targets, pairs, partners, evidence
-) -> tuple[Float[Array, "some"], Int[Array, "some"]]:
-    """Log-likelihood ratio of each pair that a spectrum says anything of, and which pairs those are. [nat]"""
-    design = state.design
-    of_pair, place = _pairs_with_spectra(partners, evidence)
-    track = pairs[of_pair]
-    alike = identity.log_likelihood_ratio(
-        state.population, targets.feature[track], targets.spectra[track],
-        evidence.spectral[evidence.index[place]], design.identity.cap, evidence.axes,
-    )  # fmt: skip
-    return identity.outlier_mixture(alike, evidence.ground[place], design.identity.outlier_share)[0], of_pair
-
-
-def _pairs_with_spectra(
-    detection: Int[Array, "pair"], evidence: Evidence
-) -> tuple[Int[Array, "some"], Int[Array, "some"]]:
-    """Pairs whose detection, −1 for none, has a spectrum, and the place of that spectrum."""
-    place = np.full(len(evidence.spectral) + 1, -1)
-    place[evidence.index] = np.arange(len(evidence.index))
-    of_pair = place[detection]
-    pair = np.flatnonzero(of_pair >= 0)
-    return pair, of_pair[pair]
-
-
-def choose(state, targets, costs: AssociationCosts, count: int) -> tuple[Choice, Targets]:
-    """Which detection is whose, each track's one or all by their probabilities.
-
-    Parameters
-    ----------
-    state
-        `TrackerState` before the epoch.
-    targets, costs, count
-        Predicted, with the costs of their pairs and the number of detections.
-
-    Returns
-    -------
-    The association, and the targets with new score.
-    """
-    design, pairs, partners = state.design, costs.tracks, costs.partners
-    assigned = assignment.assign(pairs, partners, costs.cost, costs.miss_cost, count)
-    earned = -costs.miss_cost
-    chosen = assigned[pairs] == partners
-    earned[pairs[chosen]] = -costs.cost[chosen] - costs.feature_ratio[chosen]
-    if design.association.method == "gnn":
-        pairs, partners, weights = pairs[chosen], partners[chosen], np.ones(int(chosen.sum()))
-    else:
-        weights = assignment.marginals(pairs, partners, costs.cost, costs.miss_cost, count)
-    score = np.maximum(targets.score + earned, 0.0)
-    new = replace(targets, score=score)
-    return Choice(assigned, pairs, partners, weights), new
-
-
 def advance_targets(
     state, seen, evidence: Evidence
 ) -> tuple[Targets, Int[Array, "target"], identity.Population]:
-    """Targets after an epoch, the detection of each, and the population of features.
+    """Associate the detections of an epoch and update the targets.
 
     Parameters
     ----------
     state, seen, evidence
-        As in `association_costs`.
+        See `association_costs`.
+
+    Returns
+    -------
+    The targets, the detection of each (−1 for none), and the population of features.
     """
     costs = association_costs(state, seen, seen.predicted, seen.in_view, evidence)
-    choice, targets = choose(state, seen.predicted, costs, len(seen.found))
+    pairs, partners, count = costs.tracks, costs.partners, len(seen.found)
+    assigned = assignment.assign(pairs, partners, costs.cost, costs.miss_cost, count)
+    earned = -costs.miss_cost
+    chosen = assigned[pairs] == partners
+    earned[pairs[chosen]] = -costs.cost[chosen] - costs.feature_ratio[chosen]
+    if state.design.association.method == "gnn":
+        pairs, partners, weights = pairs[chosen], partners[chosen], np.ones(int(chosen.sum()))
+    else:
+        weights = assignment.marginals(pairs, partners, costs.cost, costs.miss_cost, count)
+    targets = replace(seen.predicted, score=np.maximum(seen.predicted.score + earned, 0.0))
+    choice = Choice(assigned, pairs, partners, weights)
     targets, population = update_targets(state, seen, targets, seen.in_view, evidence, choice)
-    return targets, choice.assigned, population
+    return targets, assigned, population
 
 
 def update_targets(
     state, seen, targets: Targets, in_view: Float[Array, "target"], evidence: Evidence, choice: Choice
 ) -> tuple[Targets, identity.Population]:
-    """Targets after their detections, and the population after their spectra.
+    """Update targets with their detections, and the population of features with their spectra.
 
     Parameters
     ----------
     state, seen, in_view, evidence
-        As in `association_costs`.
+        See `association_costs`.
     targets, choice
-        From `choose`.
+        Predicted targets with their new scores, and the association.
     """
-    found = seen.found
     first = np.searchsorted(choice.tracks, np.arange(len(targets) + 1))
     modes = update_modes(
-        targets.modes, seen.motion, in_view, first, choice.partners, choice.weights, found.position,
-        found.covariance,
+        targets.modes, seen.motion, in_view, first, choice.partners, choice.weights, seen.found.position,
+        seen.found.covariance,
     )  # fmt: skip
-    targets = targets.moved(modes)
-    targets = replace(targets, trust=trust_after(targets.trust, found, choice.assigned, seen.interval_s))
+    targets = targets.with_modes(modes)
     feature, spectra, population = update_features(state, targets, evidence, choice.assigned)
-    memory = (feature, spectra)
-    new = followed(state.design, targets, seen.motion, choice.assigned, memory, seen.interval_s)
-    return new, population
+    return update_status(state.design, targets, seen, choice.assigned, feature, spectra), population
 
 
 def update_features(state, targets, evidence, assigned):
-    """Mean feature and number of spectra of each target, and the population, after an epoch.
+    """Update the mean feature and number of spectra of each target, and the population.
 
     A spectrum counts by the probability that it is the target's own and not the ground's; parameters as in
     `update_targets`.
     """
-    design, population = state.design, state.population
+    outlier_share, population = state.design.identity.outlier_share, state.population
     if len(evidence.index) == 0:
         return targets.feature, targets.spectra, population
     feature, spectra = targets.feature.copy(), targets.spectra.copy()
-    hit, place = _pairs_with_spectra(assigned, evidence)
+    hit, place = evidence.pairs(assigned)
     new, ground = evidence.spectral[evidence.index[place]], evidence.ground[place]
-    ratio = identity.log_likelihood_ratio(
-        population, feature[hit], spectra[hit], new, design.identity.cap, evidence.axes
-    )
-    share = identity.outlier_mixture(ratio, ground, design.identity.outlier_share)[1]
-    # a spectrum of the ground would widen what vehicles look like
-    own = (ratio >= ground) | (design.identity.outlier_share == 0)
+    ratio = identity.log_likelihood_ratio(population, feature[hit], spectra[hit], new)
+    share = identity.outlier_mixture(ratio, ground, outlier_share)[1]
+    # a spectrum of the ground would widen the distribution of vehicles
+    own = (ratio >= ground) | (outlier_share == 0)
     population = identity.update_population(population, new[own], feature[hit[own]], spectra[hit[own]])
     spectra[hit] += share
     feature[hit] += (new - feature[hit]) * (share / spectra[hit])[:, None]
     return feature, spectra, population
 
 
-def without_ground(state, evidence: Evidence) -> Float[Array, "detection feature"]:
-    """The spectral features, NaN where they more probably show the ground than any vehicle."""
-    if state.design.identity.outlier_share == 0 or not (evidence.ground > 0).any():
-        return evidence.spectral
+def vehicle_features(state, evidence: Evidence) -> Float[Array, "detection feature"]:
+    """Spectral features, NaN where they more probably show the ground than any vehicle."""
     out = evidence.spectral.copy()
-    out[evidence.index[evidence.ground > 0]] = np.nan
+    if state.design.identity.outlier_share:
+        out[evidence.index[evidence.ground > 0]] = np.nan
     return out
 
 
-def update_ground(state, missed: Float[Array, "spectrum feature"]) -> identity.Population:
-    """The ground's spectra after some more, less those of vehicles that nobody knew of."""
-    if len(missed) == 0:
-        return state.ground
-    ground = identity.ground_ratio(state.population, state.ground, missed, state.design.identity.cap)
-    missed = missed[ground >= 0]
-    return identity.update_population(state.ground, missed, np.zeros_like(missed), np.zeros(len(missed)))
+def update_ground(state, spectra: Float[Array, "spectrum feature"]) -> identity.Population:
+    """Update the population of the ground with more spectra, less those of unknown vehicles."""
+    spectra = spectra[identity.ground_ratio(state.population, state.ground, spectra) >= 0]
+    return identity.update_population(state.ground, spectra, np.zeros_like(spectra), np.zeros(len(spectra)))

@@ -7,7 +7,7 @@ import pytest
 
 from glintrack import track
 from glintrack.core.records import Mosaic
-from glintrack.track.detect.design import DetectDesign
+from glintrack.track.design import DetectDesign
 from glintrack.track.detect.detections import check, no_detections, of_boxes, order, take
 from glintrack.track.detect.frame import in_view, plane
 from tests.plain import plain_tracker

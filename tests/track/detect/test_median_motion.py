@@ -6,11 +6,11 @@ from scipy import ndimage
 from scipy.stats import norm
 
 from glintrack import track
+from glintrack.track.design import DetectDesign
 from glintrack.track.detect import median_motion, registration
-from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.footprint import footprints, window_means
 from glintrack.track.detect.median_motion import MedianMotionDetector
-from glintrack.track.detect.sliding_median import median_and_spread, standardized
+from glintrack.track.detect.sliding_median import median_and_spread, standardize_change
 from glintrack.track.files import FRAMES_DESIGN, as_rows, track_frames
 from tests.plain import plain_tracker
 from tests.track.moving_blobs import image, paint_cars, texture
@@ -180,7 +180,7 @@ def test_change_is_counted_in_its_own_standard_deviations():
     for sigma in (0.003, 0.03):
         seen = background + rng.normal(0, sigma, background.shape).astype(np.float32)
         nothing = np.zeros_like(background)
-        z = standardized(seen, background, nothing, nothing, 1.0, 0.0)
+        z = standardize_change(seen, background, nothing, nothing, 1.0, 0.0)
         assert abs(np.std(z) - 1) < 0.03  # the quantile's own error over 25,600 pixels
 
 
@@ -286,7 +286,7 @@ def test_frames_without_noise_are_no_numerical_fault():
     image_now = ground.copy()
     image_now[80, 80] += 1.0
     slope2 = np.abs(np.random.default_rng(0).normal(size=ground.shape)).astype(np.float32)
-    z = standardized(image_now, ground, np.zeros_like(ground), slope2, 1.0, 0.01)
+    z = standardize_change(image_now, ground, np.zeros_like(ground), slope2, 1.0, 0.01)
     assert z[80, 80] == pytest.approx(1.0 / 0.01, rel=0.02)
     assert np.abs(z[:40]).max() == 0
 
@@ -306,10 +306,10 @@ def test_registration_ignores_what_is_missing():
 def test_a_sample_of_a_frame_comes_from_every_part_of_it():
     """At most as many as asked, and not from the same few columns."""
     frame = np.arange(12.0).reshape(3, 4)
-    assert registration.some_of(frame, 12).tolist() == frame.ravel().tolist()
+    assert registration.subsample(frame, 12).tolist() == frame.ravel().tolist()
     for shape in ((100, 200), (101, 130), (64, 64), (90, 91)):
         rows, columns = np.indices(shape)
-        taken = registration.some_of(rows * 1000 + columns, 500)
+        taken = registration.subsample(rows * 1000 + columns, 500)
         assert 100 < len(taken) <= 500
         assert len(np.unique(taken % 1000)) > shape[1] // 4
         assert len(np.unique(taken // 1000)) > shape[0] // 2

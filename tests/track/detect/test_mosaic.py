@@ -11,14 +11,14 @@ from scipy.optimize import linear_sum_assignment
 from glintrack.camera import Camera, Pose
 from glintrack.core.records import Mosaic
 from glintrack.track.calibration import read_calibration
+from glintrack.track.design import DetectDesign
 from glintrack.track.detect import mosaic_model as model
 from glintrack.track.detect import mosaic_peaks
-from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Association
 from glintrack.track.detect.detector import detector_of
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.detect.median_motion import MedianMotionDetector
-from glintrack.track.detect.mosaic import LAYERS, SPACING_S, MosaicDetector, StrengthLayer, _supporting
+from glintrack.track.detect.mosaic import LAYERS, SPACING_S, MosaicDetector, StrengthLayer, _supporting_layers
 from glintrack.track.detect.mosaic_peaks import FEATURES, MIN_RATIO, log_likelihood_ratio
 from tests.track.detect import mosaic_flight as flight
 from tests.track.moving_blobs import image
@@ -46,21 +46,22 @@ def test_step_in_known_noise_is_found_as_often_as_gaussian_noise_says(step_sigma
     rng = np.random.default_rng(1)
     camera, grid = Camera(0.1, 0.1 * 0.75 / 1000, 120, 120), Grid((50, 50), (-36.75, 36.75), 1.5)
     pose, sigma, level = Pose(0.0, 0.0, 1000.0), 30.0, 5000.0
-    ground = model.bare_ground(grid, ((0, 0),), 1)
+    ground = model.empty_ground(grid, ((0, 0),), 1)
     none = np.zeros(ground.differed_s.shape, bool)
 
-    def mosaic(light):
+    def frame_of(light, time_s):
         noisy = light + sigma * rng.standard_normal((120, 120))
-        return Mosaic(noisy, np.full((120, 120), sigma), (("open",),), np.ones((1, 1, 3)))
+        mosaic = Mosaic(noisy, np.full((120, 120), sigma), (("open",),), np.ones((1, 1, 3)))
+        return Frame(time_s, mosaic=mosaic, camera=camera, pose=pose)
 
     for k in range(40):  # the fit is then known to a few hundredths of the noise's variance
-        seen = model.predict(ground, mosaic(level), camera, pose, None, 0.1 * k)
-        ground = model.update_ground(ground, seen, camera, none, 0.1 * k, 0.1)
-    seen = model.predict(ground, mosaic(level + step_sigmas * sigma), camera, pose, None, 4.0)
+        seen = model.predict(ground, frame_of(level, 0.1 * k))
+        ground = model.update_ground(ground, seen, none, 0.1 * k, 0.1)
+    seen = model.predict(ground, frame_of(level + step_sigmas * sigma, 4.0))
     known = np.isfinite(seen.z2[0])
     assert known.sum() > 5000
     threshold = 3.0
-    residual = (seen.readings[0] - seen.expected[0])[known] / sigma
+    residual = (seen.readings[0] - seen.fitted[0][..., 0])[known] / sigma
     closed_form = stats.norm.sf(threshold - step_sigmas)
     assert np.mean(residual > threshold) == pytest.approx(closed_form, abs=0.02)
 
@@ -69,9 +70,12 @@ def test_what_is_expected_has_no_bias_and_little_variance():
     frames = flight.frames(10, "all", vehicle=False, noise=False)
     _, state = fly(frames)
     frame = frames[-1]
-    seen = model.predict(state.ground, frame.mosaic, frame.camera, frame.pose, None, frame.time_s)
+    seen = model.predict(state.ground, replace(frame, terrain=None))
     error = np.concatenate(
-        [(r - e)[np.isfinite(e)] for r, e in zip(seen.readings, seen.expected, strict=True)]
+        [
+            (r - e)[np.isfinite(e)]
+            for r, e in zip(seen.readings, (f[..., 0] for f in seen.fitted), strict=True)
+        ]
     )
     a_quarter_of_the_noise = 0.25 * np.sqrt(flight.ELECTRONS)
     assert abs(error.mean()) < a_quarter_of_the_noise
@@ -236,8 +240,8 @@ def test_hills_are_followed_by_the_terrain():
         coords={"x": ("x", [-200.0, 200.0], {"units": "m"}), "y": ("y", [200.0, -200.0], {"units": "m"})},
     )
     _, low = fly(frames)
-    seen = model.predict(low.ground, frames[1].mosaic, flight.CAMERA, frames[1].pose, None, 1.0)
-    raised = model.predict(low.ground, frames[1].mosaic, flight.CAMERA, frames[1].pose, hill, 1.0)
+    seen = model.predict(low.ground, replace(frames[1], time_s=1.0, terrain=None))
+    raised = model.predict(low.ground, replace(frames[1], time_s=1.0, terrain=hill))
     toward_camera_m = 40.0 * np.tan(np.radians(50.0))
     moved = np.hypot(raised.x - seen.x, raised.y - seen.y)[80, 100] * model.CELL_M
     assert moved == pytest.approx(toward_camera_m, rel=0.02)
@@ -286,7 +290,7 @@ def test_a_state_stays_as_it_is():
 @pytest.mark.parametrize("rate_hz", [2.0, 5.0, 10.0, 30.0])
 def test_frames_that_support_a_peak_lie_as_far_apart_at_any_rate(rate_hz):
     layers = tuple(StrengthLayer(k / rate_hz, np.full((1, 1), k)) for k in range(round(4 * rate_hz)))
-    apart_s = np.diff([0.0, *(4.0 - layer.time_s for layer in _supporting(layers, 4.0))])
+    apart_s = np.diff([0.0, *(4.0 - layer.time_s for layer in _supporting_layers(layers, 4.0))])
     assert len(apart_s) == LAYERS
     assert np.all((apart_s >= SPACING_S) & (apart_s < SPACING_S + 1 / rate_hz))
 
@@ -303,7 +307,7 @@ def test_ratios_of_detections_weigh_against_the_clutter_that_is_detected(channel
     monkeypatch.setattr(mosaic_peaks, "read_calibration", lambda name: calibration)
     detected = clutter[clutter > MIN_RATIO]
     assert np.exp(detected).mean() > 5.0
-    assert np.exp(mosaic_peaks.ratio_of_detections(channel, detected)).mean() == pytest.approx(1.0, abs=0.1)
+    assert np.exp(mosaic_peaks.detection_ratio(channel, detected)).mean() == pytest.approx(1.0, abs=0.1)
 
 
 def test_vehicles_are_detected_much_more_often_than_clutter():

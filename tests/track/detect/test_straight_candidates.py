@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glintrack.track.detect import straight_candidates as candidates_of
-from glintrack.track.detect.straight_candidates import StraightCandidates, find_candidates, select_likeliest
+from glintrack.track.detect.straight_candidates import StraightCandidates, find_candidates, select_candidates
 
 SIDE, INTERVAL_S, FASTEST_M_S = 80, 0.8, 36.0
 ROWS, COLUMNS = np.mgrid[:SIDE, :SIDE].astype(np.float32)
@@ -62,7 +62,7 @@ def test_one_that_came_onto_the_frame_is_judged_by_three():
 
 def test_no_peak_that_is_left_out_could_have_counted():
     """With all that the past can show, a peak at the limit reaches the least ratio and no more."""
-    least = candidates_of._least_now()
+    least = candidates_of._min_strength()
     one = some([(0.0, 0.0)], [True], weakest=least, now=least, fourth=candidates_of.MAX_FOURTH * least)
     for mine in (one, replace(one, fourth=np.array([np.nan]))):
         assert mine.ratio[0] <= candidates_of.MIN_RATIO + 1e-9
@@ -86,9 +86,9 @@ def some(places, bright, weakest=3.0, now=3.0, fourth=np.nan):
 def test_a_shadow_goes_and_neighbours_stay():
     """Four metres apart: bright and dark are a car and its shadow, the likelier stays; two bright are two."""
     pair = [(20.0, 20.0), (20.0, 24.0)]
-    assert len(select_likeliest(some(pair, [True, False]), 9, 1.0)) == 1
-    assert select_likeliest(some(pair, [True, False]), 9, 1.0).bright.tolist() == [True]
-    assert len(select_likeliest(some(pair, [True, True]), 9, 1.0)) == 2
-    assert len(select_likeliest(some(pair, [True, False]), 9, 2.0)) == 2  # eight metres
-    assert len(select_likeliest(some(pair, [True, True]), 1, 1.0)) == 1
-    assert len(select_likeliest(some([], []), 9, 1.0)) == 0
+    assert len(select_candidates(some(pair, [True, False]), 9, 1.0)) == 1
+    assert select_candidates(some(pair, [True, False]), 9, 1.0).bright.tolist() == [True]
+    assert len(select_candidates(some(pair, [True, True]), 9, 1.0)) == 2
+    assert len(select_candidates(some(pair, [True, False]), 9, 2.0)) == 2  # eight metres
+    assert len(select_candidates(some(pair, [True, True]), 1, 1.0)) == 1
+    assert len(select_candidates(some([], []), 9, 1.0)) == 0

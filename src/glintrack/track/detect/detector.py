@@ -1,9 +1,9 @@
-"""Protocol of a detector, and every detector by the name with which a case chooses it."""
+"""Protocol of a detector, and all detectors by their names in a case."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from glintrack.track.detect.design import DetectDesign
+from glintrack.track.design import DetectDesign
 from glintrack.track.detect.detections import Association, Detections
 from glintrack.track.detect.frame import Frame
 from glintrack.track.detect.median_motion import MedianMotionDetector
@@ -17,15 +17,15 @@ class Detector(Protocol):
     """
 
     def start(self, frame: Frame) -> Any:
-        """The state before the first frame, which is given for its size and kind."""
+        """Return the state before the first frame, which is given for its size and kind."""
         ...
 
     def detect(self, state: Any, frame: Frame) -> Detections:
-        """Detections in a frame, by the state after the frames before it."""
+        """Detect vehicles in a frame, with the state after the frames before it."""
         ...
 
     def update(self, state: Any, frame: Frame, detections: Detections, association: Association) -> Any:
-        """The state after a frame, once its detections are associated.
+        """Return the state after a frame, once its detections are associated.
 
         ``detections`` are those that `detect` returned, unchanged.
         """
@@ -39,7 +39,7 @@ DETECTORS: Mapping[str, Callable[[DetectDesign], Detector]] = {
 
 
 def detector_of(design: DetectDesign, frame: Frame) -> Detector:
-    """The detector that a design names, or the better one of those that a flight's first frame allows."""
+    """Build the detector of a design; with `auto`, `mosaic` if the first frame has a raw mosaic."""
     name = design.detector
     if name == "auto":
         has_raw = frame.mosaic is not None and frame.camera is not None and frame.pose is not None

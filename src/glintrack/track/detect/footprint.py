@@ -1,4 +1,4 @@
-"""Windows of a vehicle's footprint, in several directions, over evidence on the ground; and their peaks."""
+"""Windows of a vehicle's footprint in several directions over evidence on the ground, and their peaks."""
 
 import math
 
@@ -15,44 +15,60 @@ Windows = tuple[Int[Array, "direction tap"], Int[Array, "direction tap"], Float[
 _FINE = 5  # parts of a cell's side in which a window's share of it is counted
 
 
-def footprints(length_m: float, width_m: float, cell_m: float, directions: int = DIRECTIONS) -> Windows:
-    """Row and column offsets and weights of a rectangle turned in steps over half a circle.
+def footprint_shares(
+    length_m: float, width_m: float, cell_m: float, direction_rad: float, parts: int = _FINE
+) -> Float[Array, "row column"]:
+    """Share of each cell that a rectangle covers, centred on the middle cell.
 
     Parameters
     ----------
     length_m, width_m
-        Of the rectangle. [m]
+        Size of the rectangle. [m]
     cell_m
-        Of the grid. [m]
+        Size of a cell. [m]
+    direction_rad
+        Direction of its length, counter-clockwise from the rows. [rad]
+    parts
+        Parts of a cell's side in which its share is counted.
+    """
+    half = int(np.ceil((length_m / 2 + cell_m) / cell_m))
+    side = 2 * half + 1
+    fine = ((np.arange(side * parts) + 0.5) / parts - half - 0.5) * cell_m
+    right, up, c, s = fine[None, :], -fine[:, None], np.cos(direction_rad), np.sin(direction_rad)
+    along, across = right * c + up * s, up * c - right * s
+    inside = (np.abs(along) <= length_m / 2) & (np.abs(across) <= width_m / 2)
+    return inside.reshape(side, parts, side, parts).mean(axis=(1, 3))
+
+
+def footprints(length_m: float, width_m: float, cell_m: float, directions: int = DIRECTIONS) -> Windows:
+    """Row and column offsets and weights of a rectangle in directions over half a circle.
+
+    Parameters
+    ----------
+    length_m, width_m, cell_m
+        See `footprint_shares`.
     directions
-        Steps; the first lies along the rows.
+        Number of directions; the first is along the rows.
 
     Returns
     -------
-    Weights are the covered shares of cells and sum to 1 in each direction; unused taps weigh nothing.
+    Weights are the covered shares of cells and sum to 1 in each direction; unused taps have weight 0.
     """
-    half = int(np.ceil((length_m / 2 + cell_m) / cell_m))
-    fine = ((np.arange((2 * half + 1) * _FINE) + 0.5) / _FINE - half - 0.5) * cell_m
-    right, up = fine[None, :], -fine[:, None]
-    shares = []
-    for turn in np.pi * np.arange(directions) / directions:
-        along, across = right * np.cos(turn) + up * np.sin(turn), up * np.cos(turn) - right * np.sin(turn)
-        inside = (np.abs(along) <= length_m / 2) & (np.abs(across) <= width_m / 2)
-        share = inside.reshape(2 * half + 1, _FINE, 2 * half + 1, _FINE).mean(axis=(1, 3))
-        shares.append(share / share.sum())
-    most = max(np.count_nonzero(share) for share in shares)
+    shares = [
+        footprint_shares(length_m, width_m, cell_m, turn)
+        for turn in np.pi * np.arange(directions) / directions
+    ]
+    most, half = max(np.count_nonzero(share) for share in shares), len(shares[0]) // 2
     rows, columns = np.zeros((directions, most), np.int64), np.zeros((directions, most), np.int64)
     weights = np.zeros((directions, most), np.float32)
     for k, share in enumerate(shares):
         i, j = np.nonzero(share)
-        rows[k, : len(i)], columns[k, : len(i)], weights[k, : len(i)] = i - half, j - half, share[i, j]
+        rows[k, : len(i)], columns[k, : len(i)] = i - half, j - half
+        weights[k, : len(i)] = (share / share.sum())[i, j]
     return rows, columns, weights
 
 
-def window_means(
-    evidence: Float[Array, "row column"],
-    windows: Windows,
-) -> Float[Array, "row column"]:
+def window_means(evidence: Float[Array, "row column"], windows: Windows) -> Float[Array, "row column"]:
     """Greatest mean of the evidence under the window in any direction; 0 where it would leave the grid."""
     out = np.zeros(evidence.shape, np.float32)
     edge = int(max(np.abs(windows[0]).max(), np.abs(windows[1]).max()))
@@ -74,27 +90,16 @@ def _means(start, stop, evidence, rows, columns, weights, edge, out):
             for q in range(taps):
                 weight, left = weights[k, q], edge + columns[k, q]
                 shifted = evidence[i + rows[k, q], left : left + inner]
-                for j in range(inner):  # along the row, on vectors
+                for j in range(inner):  # vectorized along the row
                     total[j] += weight * shifted[j]
             for j in range(inner):
                 best[j] = max(best[j], total[j])
 
 
-def greatest_around(values: Float[Array, "row column"]) -> Float[Array, "row column"]:
-    """Greatest of each cell and the eight around it, as `scipy.ndimage.maximum_filter` finds it."""
-    for axis in (0, 1):
-        out = values.copy()
-        here, there = np.moveaxis(out, axis, 0), np.moveaxis(values, axis, 0)
-        np.maximum(here[1:], there[:-1], out=here[1:])
-        np.maximum(here[:-1], there[1:], out=here[:-1])
-        values = out
-    return values
-
-
 def peaks(
     means: Float[Array, "row column"], least: float, apart_m: float, cell_m: float
 ) -> Int[Array, "peak 2"]:
-    """Cells, row and column, that exceed a limit and all others nearer than a distance."""
+    """Find the cells, row and column, that exceed a limit and all others nearer than a distance."""
     found = np.zeros(means.shape, np.bool_)
     reach = round(apart_m / cell_m)
     over_rows(_highest, len(means), np.ascontiguousarray(means, np.float32), np.float32(least), reach, found)
@@ -125,7 +130,7 @@ def _highest(start, stop, means, least, reach, found):
 def peak_places(
     means: Float[Array, "row column"], peak: Int[Array, "peak 2"], reach: int = 3
 ) -> Float[Array, "peak 2"]:
-    """Row and column of the centroid of what stands over half of each peak within a few cells of it."""
+    """Row and column of the centroid of the values above half of each peak, within a few cells of it."""
     out = np.empty((len(peak), 2))
     _centroids(np.ascontiguousarray(means, np.float32), peak, reach, out)
     return out

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 import xarray as xr
@@ -15,7 +16,7 @@ from glintrack.core.records import Mosaic
 
 @dataclass(frozen=True)
 class Grid:
-    """The ground grid of the frames.
+    """Ground grid of the frames.
 
     Parameters
     ----------
@@ -32,14 +33,14 @@ class Grid:
     gsd_m: float
 
     def pixel_of(self, position_m: Float[Array, "n 2"]) -> tuple[Int[Array, "n"], Int[Array, "n"]]:
-        """Row and column of the pixel nearest to each ground point, perhaps off the grid."""
+        """Row and column of the pixel nearest to each ground point, which may be off the grid."""
         rows = np.rint((self.corner_m[1] - position_m[:, 1]) / self.gsd_m).astype(int)
         return rows, np.rint((position_m[:, 0] - self.corner_m[0]) / self.gsd_m).astype(int)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame, with all that a detector may look at; the truth is not among it.
+    """One frame, with all inputs of a detector; the truth is not among them.
 
     Only `time_s` and one of `image` and `grid` must be given. `simulate` gives all; rectified frames of a
     user have no mosaic, camera, pose or ground.
@@ -51,21 +52,21 @@ class Frame:
     image
         Rectified, of the schema ``image``; NaN where there is no data.
     mosaic
-        What the elements read, before demosaicking and rectification.
+        Readings of the elements, before demosaicking and rectification.
     camera, pose
-        Of the mosaic, in elements; the pose as reported, with the navigator's errors.
+        Camera of the mosaic, in elements, and reported pose, with the navigator's errors.
     terrain, surface
-        Heights of the ground, and of all that stands on it, of the schema ``terrain``.
+        Heights of the ground, and of all objects on it, of the schema ``terrain``.
     lanes
         Centre lines of lanes (east, north), if the design uses a road map. [m]
     grid
         Area in which vehicles are tracked; the image's own, if there is an image.
     channel
-        What the design wants searched: ``pan``, ``dolp`` or ``all``. The tracker writes it here.
+        Channel of the design: ``pan``, ``dolp`` or ``all``. The tracker sets it.
     interval_s
-        Time since the frame before, 0 for the first. The tracker writes it here. [s]
+        Time since the frame before, 0 for the first. The tracker sets it. [s]
     expected_m
-        Where confirmed tracks are expected in this frame. The tracker writes it here. [m]
+        Predicted positions of confirmed tracks in this frame. The tracker sets it. [m]
     """
 
     time_s: float
@@ -83,26 +84,23 @@ class Frame:
 
     @property
     def planes(self) -> tuple[str, ...]:
-        """Variables of the image that the channel is made of."""
+        """Variables of the image in the channel."""
         return ("pan", "dolp") if self.channel == "all" else (self.channel,)
 
 
 def grid_of(frame: Frame, expected: Grid | None) -> Grid:
-    """The frame's grid, checked against its image's schema and the grid of the frames before.
+    """Return the frame's grid, checked against its image's schema and the grid of the frames before.
 
-    The schema is checked on one row; the rest may be NaN anyway.
+    The schema is checked on one row; the other rows may be NaN.
 
     Raises
     ------
     ValueError
         If the image breaks its schema, or the grid is missing, not square or another than expected.
     """
-    if frame.image is None:
-        if frame.grid is None:
-            raise ValueError("`frame` must have an image, or a grid without one, got neither")
-        grid = frame.grid
-    else:
-        grid = _grid_of_image(frame.image)
+    grid = frame.grid if frame.image is None else _grid_of_image(frame.image)
+    if grid is None:
+        raise ValueError("`frame` must have an image, or a grid without one, got neither")
     if expected is not None and grid.shape != expected.shape:
         raise ValueError(f"`image` must keep its size {expected.shape}, got {grid.shape}")
     if expected is not None and not np.allclose(
@@ -141,7 +139,7 @@ def _grid_of_image(image: xr.Dataset) -> Grid:
 
 
 def plane(frame: Frame, name: str) -> Float[Array, "y x"]:
-    """One variable of the frame's image as a plain array; what its mask ``occluded`` hides has no data.
+    """One variable of the frame's image as a plain array, NaN under its mask ``occluded``.
 
     Raises
     ------
@@ -157,19 +155,14 @@ def plane(frame: Frame, name: str) -> Float[Array, "y x"]:
 
 
 def in_view(frame: Frame, grid: Grid, position_m: Float[Array, "n 2"]) -> Float[Array, "n"]:
-    """Share of the 3 × 3 pixels about each point that have data; 0 off the grid, 1 without an image."""
+    """Share of the 3 × 3 pixels around each point that have data; 0 off the grid, 1 without an image."""
     if frame.image is None:
         return np.ones(len(position_m))
-    values = frame.image[frame.planes[0]].values
-    occluded = frame.image["occluded"].values if "occluded" in frame.image else None
+    values = plane(frame, frame.planes[0])
     rows, columns = grid.pixel_of(position_m)
     count = np.zeros(len(position_m))
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            y, x = rows + dy, columns + dx
-            inside = (y >= 0) & (y < grid.shape[0]) & (x >= 0) & (x < grid.shape[1])
-            known = np.isfinite(values[y[inside], x[inside]])
-            if occluded is not None:
-                known &= ~(occluded[y[inside], x[inside]] > 0)
-            count[inside] += known
+    for dy, dx in product((-1, 0, 1), repeat=2):
+        y, x = rows + dy, columns + dx
+        inside = (y >= 0) & (y < grid.shape[0]) & (x >= 0) & (x < grid.shape[1])
+        count[inside] += np.isfinite(values[y[inside], x[inside]])
     return count / 9

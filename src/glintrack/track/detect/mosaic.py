@@ -1,25 +1,23 @@
 """The detector ``mosaic``: change of raw elements in windows of a vehicle's size, along a straight motion.
 
-Per frame, every element is predicted from the past of its own kind (`mosaic_model`). The squared difference
-over its usual size is averaged over windows of a vehicle's size on the ground (`footprint`). Peaks of that
-are scored by what was seen along their best straight motion in the frames before (`mosaic_peaks`). Weak
+In every frame each element is predicted from the past of its own kind (`mosaic_model`). The squared
+difference over its variance is averaged over windows of a vehicle's size on the ground (`footprint`). Its
+peaks are scored by the evidence along their best straight motion in the frames before (`mosaic_peaks`). Weak
 detections go to the tracker with their log-likelihood ratio.
 """
 
 import math
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import maximum_filter
 
-from glintrack.camera import Camera, Pose
 from glintrack.core.arrays import Array
-from glintrack.core.records import Mosaic
 from glintrack.track.calibration import read_calibration
-from glintrack.track.detect.design import DetectDesign
+from glintrack.track.design import DetectDesign
 from glintrack.track.detect.detections import Association, Detections, no_detections
-from glintrack.track.detect.footprint import footprints, greatest_around, window_means
+from glintrack.track.detect.footprint import footprints, window_means
 from glintrack.track.detect.frame import Frame, Grid, grid_of
 from glintrack.track.detect.mosaic_model import (
     COARSE,
@@ -27,9 +25,10 @@ from glintrack.track.detect.mosaic_model import (
     SOFT,
     ElementPrediction,
     Ground,
-    bare_ground,
+    elements_of_cells,
+    empty_ground,
     predict,
-    seen_by,
+    raw_of,
     update_ground,
 )
 from glintrack.track.detect.mosaic_peaks import (
@@ -37,26 +36,26 @@ from glintrack.track.detect.mosaic_peaks import (
     MIN_RATIO,
     PastStrength,
     Peaks,
+    detection_ratio,
     element_change,
     evidence_on_ground,
     find_peaks,
     log_likelihood_ratio,
     no_peaks,
-    ratio_of_detections,
-    searched_elements,
+    select_elements,
 )
 
 CELL_M = 0.75
 WINDOW_M = (4.6, 2.6)
-SPACING_S = 0.45  # least time between earlier frames that count: a car has then left its place
+SPACING_S = 0.45  # minimum time between earlier frames that count: a car has then left its place
 LAYERS = 3  # earlier frames that may support a peak
-FIRST_FRAMES = 4  # of which the ground map is made anew
+FIRST_FRAMES = 4  # from which the ground map is rebuilt
 RESTLESS_S, MAX_RESTLESS = 6.0, 2.0
 WARM_UP, WARM_UP_S = 2, 0.75  # frames and time before the first detections
-MIN_SHARE = 1e-6  # of confirmation: where nothing is confirmed all is learnt alike
+MIN_SHARE = 1e-6  # of confirmation: without it all readings have equal weights
 MASK_RATIO, MASK_REACH_M, MASK_S = 1.5, 3.0, 2.0
-RIGHT_SHARE = 0.7  # of the best motions are a vehicle's own
-SPEED_SIGMA_M_S = 2.0  # of those
+RIGHT_SHARE = 0.7  # share of the best motions that are a vehicle's own
+SPEED_SIGMA_M_S = 2.0  # standard deviation of those
 
 
 @dataclass(frozen=True)
@@ -74,19 +73,19 @@ class MosaicMemory:
     Parameters
     ----------
     grid, layout
-        Of the frames, which must not change.
+        Grid and superpixel of the frames, which must not change.
     ground
         Map of the ground.
     restless
-        Mean of the windows' strength over the last seconds, each the greatest within a cell. [1]
+        Mean strength of the windows over the last seconds, each the greatest within a cell. [1]
     masked
         Share of the last seconds for which each coarse cell of the ground was masked. [1]
     layers
         Strength in earlier frames, the oldest first.
     frames
-        Number of frames seen.
+        Number of frames processed.
     first
-        The first of them, until the ground is made anew from what they agree on; None from then on.
+        The first of them, until the ground is rebuilt from them; None from then on.
     """
 
     grid: Grid
@@ -101,19 +100,19 @@ class MosaicMemory:
 
 @dataclass(frozen=True)
 class SearchedMosaic:
-    """What the detector found in one frame, likely or not.
+    """Search of one frame, with all peaks.
 
     Parameters
     ----------
     prediction
-        Readings that were expected.
+        Predicted readings.
     strength
-        Of the windows. [1]
+        Strength of the windows. [1]
     peaks
-        Of that; the likelihood model is fitted to them.
+        Its peaks, to which the likelihood model is fitted.
     place_m, ratio
-        Where each peak is seen on the ground, by the poses reported in the last seconds, and its
-        log-likelihood ratio. [m, nat]
+        Position of each peak on the ground, by the poses reported in the last seconds, and its log-likelihood
+        ratio. [m, nat]
     """
 
     prediction: ElementPrediction
@@ -125,25 +124,25 @@ class SearchedMosaic:
 
 @dataclass(frozen=True)
 class MosaicDetector:
-    """Vehicles in raw mosaics with reported poses.
+    """Detect vehicles in raw mosaics with reported poses.
 
     Parameters
     ----------
     design
-        Its channel is ``pan``, ``dolp`` or ``all``.
+        Channel ``pan``, ``dolp`` or ``all``, and greatest speed.
     """
 
     design: DetectDesign
 
     def start(self, frame: Frame) -> MosaicMemory:
-        """The state before the first frame.
+        """Return the state before the first frame.
 
         Raises
         ------
         ValueError
             If the frame lacks mosaic, camera or pose, or its layout lacks the channel's elements.
         """
-        mosaic, camera, _ = _raw_of(frame)
+        mosaic, camera, _ = raw_of(frame)
         side = len(mosaic.layout)
         if mosaic.electrons.shape != (camera.rows, camera.columns):
             raise ValueError(
@@ -151,19 +150,19 @@ class MosaicDetector:
                 f"got {mosaic.electrons.shape[0]} × {mosaic.electrons.shape[1]}"
             )
         grid = grid_of(frame, None)
-        ground = bare_ground(grid, searched_elements(mosaic.layout, frame.channel), side)
-        restless, masked = (np.zeros(n, np.float32) for n in (_cells(grid)[1], ground.differed_s.shape))
+        ground = empty_ground(grid, select_elements(mosaic.layout, frame.channel), side)
+        restless, masked = (np.zeros(n, np.float32) for n in (_window_grid(grid)[1], ground.differed_s.shape))
         return MosaicMemory(grid, mosaic.layout, ground, restless, masked)
 
     def detect(self, state: MosaicMemory, frame: Frame) -> Detections:
-        """Windows of a vehicle's size that differ from the ground map, along a straight motion.
+        """Detect windows of a vehicle's size that differ from the ground map, along a straight motion.
 
         Raises
         ------
         ValueError
             If the frame lacks mosaic, camera or pose, or its mosaic is of another layout than the first.
         """
-        mosaic, camera, pose = _raw_of(frame)
+        mosaic, camera, _ = raw_of(frame)
         if mosaic.layout != state.layout or mosaic.electrons.shape != (camera.rows, camera.columns):
             raise ValueError(
                 f"`mosaic` must keep the first frame's layout {state.layout} and the camera's "
@@ -171,21 +170,21 @@ class MosaicDetector:
                 f"{mosaic.electrons.shape[0]} × {mosaic.electrons.shape[1]}"
             )
         ground, channel = state.ground, frame.channel
-        seen = predict(ground, mosaic, camera, pose, frame.terrain, frame.time_s)
-        corner, shape = _cells(state.grid)
-        element = seen_by(camera, pose, frame.terrain, corner, CELL_M, shape, seen.moved_m)
+        seen = predict(ground, frame)
+        corner, shape = _window_grid(state.grid)
+        element = elements_of_cells(frame, corner, CELL_M, shape, seen.moved_m)
         planes, offsets = element_change(seen, mosaic, ground.places, channel)
         change = evidence_on_ground(planes, offsets, ground.side, element)
         means = window_means(change, footprints(*WINDOW_M, CELL_M))
         known = means[means > 0.02]
-        usual = _median(known)
+        usual = float(np.median(known)) if len(known) else 0.0
         strength = np.clip(means - usual, 0.0, CAP)
         above = known[known > usual]
-        spread = _median(above) - usual if len(above) else 0.0
+        spread = float(np.median(above)) - usual if len(above) else 0.0
         if state.frames < WARM_UP or frame.time_s - (ground.first_s or 0.0) < WARM_UP_S:
             nothing = SearchedMosaic(seen, strength, no_peaks(), np.empty((0, 2)), np.empty(0))
             return replace(no_detections(), log_likelihood_ratio=np.empty(0), detail=nothing)
-        layers = _supporting(state.layers, frame.time_s)
+        layers = _supporting_layers(state.layers, frame.time_s)
         past = PastStrength(
             np.stack([layer.strength for layer in layers]),
             frame.time_s - np.array([layer.time_s for layer in layers]),
@@ -198,29 +197,28 @@ class MosaicDetector:
         ratio = log_likelihood_ratio(channel, found.features)
         east_m, north_m = (mean - now for mean, now in zip(ground.shift_m, seen.moved_m, strict=True))
         detections = _detections(
-            SearchedMosaic(seen, strength, found, place_m, ratio), channel, pose, frame, (east_m, north_m)
+            SearchedMosaic(seen, strength, found, place_m, ratio), frame, (east_m, north_m)
         )
         return replace(detections, velocity_most_m_s=self.design.max_speed_m_s)
 
     def update(
         self, state: MosaicMemory, frame: Frame, detections: Detections, association: Association
     ) -> MosaicMemory:
-        """The state after a frame; vehicles are not learnt, unless they have stood for long."""
+        """Update the state with a frame; vehicles are masked, unless they have stood for a long time."""
         seen: SearchedMosaic = detections.detail
-        _, camera, _ = _raw_of(frame)
         mask = _mask(state.ground, seen.place_m[seen.ratio > MASK_RATIO] + np.array(state.ground.shift_m))
-        learnt = mask & (state.masked < 1 - math.exp(-1))  # what is masked for long must be learnt after all
-        first = None if state.first is None else _add_first_frame(state.first, frame)
+        hidden = mask & (state.masked < 1 - math.exp(-1))  # the mask of a place ends after a long time
+        first = state.first
+        if first is not None and not (first and frame.time_s - first[-1].time_s < SPACING_S):
+            first = (*first, replace(frame, image=None, surface=None))  # without the large parts
         if first is not None and len(first) == FIRST_FRAMES:
             ground, first = _ground_of_first_frames(state.ground, first), None
         else:
-            ground = update_ground(
-                state.ground, seen.prediction, camera, learnt, frame.time_s, frame.interval_s
-            )
+            ground = update_ground(state.ground, seen.prediction, hidden, frame.time_s, frame.interval_s)
         masked = state.masked + np.float32(-math.expm1(-frame.interval_s / MASK_S)) * (mask - state.masked)
-        around = greatest_around(seen.strength)
-        past = _supporting(state.layers, frame.time_s)
-        oldest_s = past[-1].time_s if len(past) == LAYERS else -math.inf  # what is older supports nothing
+        around = maximum_filter(seen.strength, 3)
+        past = _supporting_layers(state.layers, frame.time_s)
+        oldest_s = past[-1].time_s if len(past) == LAYERS else -math.inf  # older layers support nothing
         layers = (
             *(layer for layer in state.layers if layer.time_s >= oldest_s),
             StrengthLayer(frame.time_s, around),
@@ -233,13 +231,8 @@ class MosaicDetector:
         )  # fmt: skip
 
 
-def _median(values: Float[Array, "n"]) -> float:
-    """Median, 0 of no values at all."""
-    return float(np.median(values)) if len(values) else 0.0
-
-
-def _supporting(layers: tuple[StrengthLayer, ...], time_s: float) -> list[StrengthLayer]:
-    """The newest earlier frames that are `SPACING_S` apart, newest first, as many as may support a peak."""
+def _supporting_layers(layers: tuple[StrengthLayer, ...], time_s: float) -> list[StrengthLayer]:
+    """Select the newest earlier frames that are `SPACING_S` apart, newest first, at most `LAYERS`."""
     out: list[StrengthLayer] = []
     for layer in reversed(layers):
         if (out[-1].time_s if out else time_s) - layer.time_s >= SPACING_S and len(out) < LAYERS:
@@ -247,19 +240,8 @@ def _supporting(layers: tuple[StrengthLayer, ...], time_s: float) -> list[Streng
     return out
 
 
-def _raw_of(frame: Frame) -> tuple[Mosaic, Camera, Pose]:
-    """Mosaic, camera and pose of a frame that has them."""
-    for name in ("mosaic", "camera", "pose"):
-        if getattr(frame, name) is None:
-            raise ValueError(
-                f"`frame.{name}` must be given for the detector 'mosaic', got none (rectified frames alone "
-                "need 'median-motion')"
-            )
-    return cast(Mosaic, frame.mosaic), cast(Camera, frame.camera), cast(Pose, frame.pose)
-
-
-def _cells(grid: Grid) -> tuple[tuple[float, float], tuple[int, int]]:
-    """First cell's centre and size of the grid of windows."""
+def _window_grid(grid: Grid) -> tuple[tuple[float, float], tuple[int, int]]:
+    """Centre of the first cell, and shape, of the grid of windows."""
     west, north = grid.corner_m[0] - grid.gsd_m / 2, grid.corner_m[1] + grid.gsd_m / 2
     rows, columns = (max(1, math.ceil(n * grid.gsd_m / CELL_M)) for n in grid.shape)
     return (west + CELL_M / 2, north - CELL_M / 2), (rows, columns)
@@ -269,7 +251,7 @@ def _mask(ground: Ground, position_m: Float[Array, "n 2"]) -> Bool[Array, "coars
     """Coarse cells within `MASK_REACH_M` of places."""
     rows, columns = ground.differed_s.shape
     mask = np.zeros((rows, columns), np.bool_)
-    cell = ground.coarse_cells(position_m)
+    cell = ground.cells_of(position_m)
     reach = round(MASK_REACH_M / (COARSE * CELL_M))
     for i in range(-reach, reach + 1):
         for j in range(-reach, reach + 1):
@@ -280,60 +262,62 @@ def _mask(ground: Ground, position_m: Float[Array, "n 2"]) -> Bool[Array, "coars
     return mask
 
 
-def _add_first_frame(frames: tuple[Frame, ...], frame: Frame) -> tuple[Frame, ...]:
-    """The first frames with one more, if it is late enough, without what the map does not need."""
-    if frames and frame.time_s - frames[-1].time_s < SPACING_S:
-        return frames
-    return *frames, replace(frame, image=None, surface=None)
-
-
 def _ground_of_first_frames(ground: Ground, frames: tuple[Frame, ...]) -> Ground:
-    """Map of what a flight's first frames agree on, for the area and kinds of elements of a ground.
+    """Rebuild the map from the first frames of a flight, for the area and kinds of elements of a ground.
 
-    The map learns all of the first frame, its vehicles too, and little of what differs from it afterwards.
-    Under dense traffic, where other vehicles follow before a place is taken as free, it would hold vehicles
-    for half a minute. So each of the first frames is predicted from every other alone. The map is made anew
-    from them: each reading counts by the share of the others that confirm it, over the greatest such share
-    in its coarse cell.
+    The map takes all of the first frame, with its vehicles, and little of later differences. In dense
+    traffic, where other vehicles follow before a place is free, it would contain vehicles for half a minute.
+    So each of the first frames is predicted from every other alone, and the map is rebuilt from them: each
+    reading has the weight of the share of the others that confirm it, over the greatest such share in its
+    coarse cell.
     """
     votes: list[list[tuple[Float[Array, "row column"], ...]]] = [[] for _ in frames]
     cells = []
+    empty = replace(
+        ground,
+        maps=tuple(np.zeros_like(one) for one in ground.maps),
+        scales=tuple(np.full_like(one, SCALE_START) for one in ground.scales),
+        differed_s=np.zeros_like(ground.differed_s),
+        since_s=None,
+        first_s=None,
+        shift_m=(0.0, 0.0),
+    )
     for j, other in enumerate(frames):
-        alone = _emptied(ground)
-        seen = _predict(alone, other)
-        cells.append(_seen_cells(ground, seen))
-        alone = _learn(alone, other, seen, 0.0)
+        seen = predict(empty, other)
+        cells.append(_cells_of_elements(ground, seen))
+        alone = _add_frame(empty, other, seen, 0.0)
         for i, frame in enumerate(frames):
             if i != j:
-                votes[i].append(_predict(alone, frame).z2)
+                votes[i].append(predict(alone, frame).z2)
     shares = [
-        [_confirmed_share(np.stack(of_kind)) for of_kind in zip(*of_frame, strict=True)] for of_frame in votes
+        [_confirmation_share(np.stack(of_kind)) for of_kind in zip(*of_frame, strict=True)]
+        for of_frame in votes
     ]
     best = [np.zeros(ground.differed_s.shape, np.float32) for _ in ground.places]
     for share, cell in zip(shares, cells, strict=True):
         for k, most in enumerate(best):
             np.maximum.at(most.reshape(-1), cell[k], share[k])
-    out, before_s = _emptied(ground), frames[0].time_s
+    out, before_s = empty, frames[0].time_s
     for frame, share, cell in zip(frames, shares, cells, strict=True):
         weight = tuple(
             np.square(one / np.maximum(most.reshape(-1)[at], MIN_SHARE))
             for one, most, at in zip(share, best, cell, strict=True)
         )
-        out = _learn(out, frame, _predict(out, frame), frame.time_s - before_s, weight)
+        out = _add_frame(out, frame, predict(out, frame), frame.time_s - before_s, weight)
         before_s = frame.time_s
     return out
 
 
-def _confirmed_share(z2: Float[Array, "other row column"]) -> Float[Array, "row column"]:
-    """Share of the other frames that confirm each reading, by its squared deviations from them."""
+def _confirmation_share(z2: Float[Array, "other row column"]) -> Float[Array, "row column"]:
+    """Share of the other frames that confirm each reading, from its squared deviations."""
     known = np.isfinite(z2)
     agrees = np.where(known, 1 / (1 + np.where(known, z2, 0) / SOFT) ** 2, 0)
     share = agrees.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     return np.where(known.any(axis=0), share, 1).astype(np.float32)
 
 
-def _seen_cells(ground: Ground, seen: ElementPrediction) -> list[Int[Array, "row column"]]:
-    """The coarse cell that each element of each kind sees, row by row, held to the map."""
+def _cells_of_elements(ground: Ground, seen: ElementPrediction) -> list[Int[Array, "row column"]]:
+    """Index of the coarse cell of each element of each kind, limited to the map."""
     rows, columns = ground.differed_s.shape
     out = []
     for i, j in ground.places:
@@ -344,40 +328,22 @@ def _seen_cells(ground: Ground, seen: ElementPrediction) -> list[Int[Array, "row
     return out
 
 
-def _emptied(ground: Ground) -> Ground:
-    """The same area, nothing learnt."""
-    return replace(
-        ground,
-        maps=tuple(np.zeros_like(one) for one in ground.maps),
-        scales=tuple(np.full_like(one, SCALE_START) for one in ground.scales),
-        differed_s=np.zeros_like(ground.differed_s),
-        since_s=None,
-        first_s=None,
-        shift_m=(0.0, 0.0),
-    )
+def _add_frame(
+    ground: Ground, frame: Frame, seen: ElementPrediction, interval_s: float, weight=None
+) -> Ground:
+    """Add a frame to the ground."""
+    masked = np.zeros(ground.differed_s.shape, np.bool_)
+    return update_ground(ground, seen, masked, frame.time_s, interval_s, weight)
 
 
-def _predict(ground: Ground, frame: Frame) -> ElementPrediction:
-    """Readings that a ground predicts for a frame."""
-    mosaic, camera, pose = cast(Mosaic, frame.mosaic), cast(Camera, frame.camera), cast(Pose, frame.pose)
-    return predict(ground, mosaic, camera, pose, frame.terrain, frame.time_s)
-
-
-def _learn(ground: Ground, frame: Frame, seen: ElementPrediction, interval_s: float, weight=None) -> Ground:
-    """The ground with a frame in it."""
-    masked, camera = np.zeros(ground.differed_s.shape, np.bool_), cast(Camera, frame.camera)
-    return update_ground(ground, seen, camera, masked, frame.time_s, interval_s, weight)
-
-
-def _detections(
-    searched: SearchedMosaic, channel: str, pose: Pose, frame: Frame, displacement_m: tuple[float, float]
-) -> Detections:
-    """The likely peaks, the likeliest first, moved back by a vehicle's height along the line of sight."""
-    kept = np.flatnonzero(searched.ratio > MIN_RATIO)
-    kept = kept[np.argsort(-searched.ratio[kept], kind="stable")]
-    position, ratio = searched.place_m[kept], searched.ratio[kept]
+def _detections(searched: SearchedMosaic, frame: Frame, displacement_m: tuple[float, float]) -> Detections:
+    """Likely peaks by falling ratio, moved back by a vehicle's height along the line of sight."""
+    likely = np.flatnonzero(searched.ratio > MIN_RATIO)
+    likely = likely[np.argsort(-searched.ratio[likely], kind="stable")]
+    position, ratio = searched.place_m[likely], searched.ratio[likely]
     known = read_calibration("mosaic").constants
     ground_m = 0.0 if frame.terrain is None else float(frame.terrain["height"].mean())
+    pose = raw_of(frame)[2]
     to_camera = pose.position[:2] - position
     slope = np.hypot(*to_camera.T) / max(pose.up_m - ground_m, 1.0)
     unit = to_camera / np.maximum(np.hypot(*to_camera.T), 1e-9)[:, None]
@@ -385,15 +351,15 @@ def _detections(
     covariance = (
         known["sigma_m"] ** 2 * np.eye(2) + (known["height_sigma_m"] * slope[:, None, None]) ** 2 * outer
     )
-    n = len(kept)
+    n = len(likely)
     return Detections(
         position + (known["height_m"] * slope)[:, None] * unit,
         covariance.reshape(n, 2, 2),
         np.full(n, math.sqrt(4 / math.pi * WINDOW_M[0] * WINDOW_M[1])),
         np.exp(np.clip(ratio, -20, 20)),
-        log_likelihood_ratio=ratio_of_detections(channel, ratio),
+        log_likelihood_ratio=detection_ratio(frame.channel, ratio),
         displacement_m=displacement_m,
-        velocity=searched.peaks.velocity[kept],
+        velocity=searched.peaks.velocity[likely],
         velocity_sigma_m_s=SPEED_SIGMA_M_S,
         velocity_share=RIGHT_SHARE,
         detail=searched,

@@ -42,7 +42,7 @@ def _fit(cell, ridge):
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def predict_readings(start, stop, map_, x_of, y_of, least, ridge, out):
-    """Reading predicted of each element of a kind, with slopes and spread, from the cell under it.
+    """Predict the reading of each element of a kind, with slopes and spread, from the cell under it.
 
     Parameters
     ----------
@@ -52,9 +52,9 @@ def predict_readings(start, stop, map_, x_of, y_of, least, ridge, out):
     x_of, y_of : (row, column)
         Ground points of the kind's elements: columns and rows of the map.
     least
-        Sum of weights under which a cell predicts nothing.
+        Minimum sum of weights of a cell that predicts.
     ridge
-        Pulls slopes to nought. [cell²]
+        Regularization of the slopes. [cell²]
     out : (row, column, 5)
         Predicted reading, slopes along columns and rows, mean squared residual, sum of weights; NaN for none.
     """
@@ -62,7 +62,7 @@ def predict_readings(start, stop, map_, x_of, y_of, least, ridge, out):
     row, column = np.empty(columns, np.int64), np.empty(columns, np.int64)
     weight = np.empty(columns, np.float32)
     for i in range(start, stop):
-        for j in range(columns):  # first what must come from memory, so that it comes for many at a time
+        for j in range(columns):  # read memory for many elements at a time
             x, y = x_of[i, j], y_of[i, j]
             weight[j] = 0.0
             if -0.5 < x < width - 0.5 and -0.5 < y < height - 0.5:
@@ -86,13 +86,13 @@ def update_map(map_, readings, weight, x_of, y_of, metric, reach, gain):
     Parameters
     ----------
     map_ : (row, column, TERMS)
-        Changed.
+        Changed in place.
     readings, weight, x_of, y_of : (row, column)
-        What was read, how much it counts (0 to leave it out), and where.
+        Readings, their weights (0 to leave one out), and map coordinates.
     metric : (3,)
         Squared distance of an offset (x, y) in cells: ``m0 xx + m1 xy + m2 yy``, 1 at the edge of the kernel.
     reach : (2,)
-        Farthest x and y at which that may be under 1. [cell]
+        Extent of the kernel in x and y. [cell]
     gain
         exp(time/τ).
     """
@@ -137,13 +137,13 @@ def update_map(map_, readings, weight, x_of, y_of, metric, reach, gain):
 
 @nb.njit(cache=True, nogil=True)
 def _cell_of(x, y, ratio):
-    """Row and column of the coarse cell about a place in fine cells."""
+    """Row and column of the coarse cell at fine coordinates."""
     return int(np.floor((y + 0.5) * ratio)), int(np.floor((x + 0.5) * ratio))
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def residuals(start, stop, fitted, readings, noise, scale, places, ratio, parts, var, z2):
-    """Expected variance of each residual of one kind, and its square over that.
+    """Compute the expected variance of each residual of one kind, and its square over that.
 
     Parameters
     ----------
@@ -159,9 +159,9 @@ def residuals(start, stop, fitted, readings, noise, scale, places, ratio, parts,
     ratio
         Coarse cells in a fine one.
     parts : (3,)
-        What of the scale, of the fit's spread, and of the spread over the sum of weights counts.
+        Weights of the scale, of the fit's spread, and of the spread over the sum of weights.
     var, z2 : (row, column)
-        Written; NaN where nothing is predicted or read.
+        Results; NaN without a prediction or a reading.
     """
     height, width = scale.shape
     x, y = places
@@ -188,7 +188,7 @@ def residuals(start, stop, fitted, readings, noise, scale, places, ratio, parts,
 
 @nb.njit(cache=True, nogil=True)
 def follow_scale(fitted, readings, noise, weight, scale, x, y, ratio, up, down, least):
-    """Raise the scale by a factor where a residual exceeds it, lower it elsewhere, but not what is masked."""
+    """Raise the scale where a residual exceeds it, and lower it elsewhere, except under a mask."""
     height, width = scale.shape
     for i in range(readings.shape[0]):
         for j in range(readings.shape[1]):
@@ -218,10 +218,11 @@ def flag(z2, x, y, ratio, limit, out):
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def update_weight(z2, x, y, ratio, differed_s, masked, soft, heal_s, healing, out):
-    """How much of each reading is learnt.
+    """Compute the weight of each reading in the map.
 
-    All of what was predicted, less of what differs, nothing of what is masked; and most of what has differed
-    in every frame for longer than ``heal_s``, or a hole where a vehicle stood would stay for ever.
+    A predicted reading has weight 1, one that differs less, and a masked one 0. A reading that has differed
+    in every frame for longer than ``heal_s`` has most of its weight, or a hole after a stopped vehicle would
+    stay.
     """
     height, width = differed_s.shape
     for i in range(z2.shape[0]):
@@ -239,7 +240,7 @@ def update_weight(z2, x, y, ratio, differed_s, masked, soft, heal_s, healing, ou
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
 def shift_terms(fitted, readings, var, guess, soft, out):
-    """Normal equations of the shift of all places that best explains the residuals, robustly weighted.
+    """Add to the normal equations of the shift that best explains the residuals, with robust weights.
 
     ``out`` gains Σw gx², Σw gx gy, Σw gy², Σw gx e, Σw gy e, with slopes g of the fit and e the residual.
     """

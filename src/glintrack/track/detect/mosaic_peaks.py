@@ -2,12 +2,12 @@
 
 1. Squared change of elements (``pan``, ``all``) or of S1/S0 and S2/S0 of superpixels (``dolp``) over its
    variance. DoLP and angle of polarization follow from those two ratios. Readings are compared with the
-   *expected readings of the same elements*, so the effect of the polarizers' different places cancels.
-2. Its mean logarithm on a ground grid, where each cell is seen.
+   *predicted readings of the same elements*, so the effect of the polarizers' different positions cancels.
+2. Its mean logarithm on a ground grid.
 3. Peaks of the means under windows of a vehicle's size.
 4. Track before detect: support of each peak by the best straight motion through earlier frames. An earlier
-   frame counts no more than the peak itself, so that one strong glint elsewhere supports nothing.
-5. A logistic model of these numbers gives the log-likelihood ratio of vehicle against clutter. Its constants
+   frame has at most the strength of the peak itself, so that one strong glint elsewhere gives no support.
+5. A logistic model of these features gives the log-likelihood ratio of vehicle against clutter. Its constants
    are in ``data/calibration/mosaic.toml``; ``python tools/calibrate.py mosaic`` fits and writes them.
 """
 
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
@@ -24,19 +24,19 @@ from glintrack.track.calibration import read_calibration
 from glintrack.track.detect.footprint import peak_places, peaks
 from glintrack.track.detect.mosaic_model import ElementPrediction
 
-FREEDOM = 3.0  # of Student's t: one wild element is no vehicle
+FREEDOM = 3.0  # of Student's t: one outlier is no vehicle
 APART_M = 3.0  # of peaks: cars in a queue stand 6 m apart
-CAP = 4.0  # of a window's strength: a glint shows no more vehicle than a car
+CAP = 4.0  # of a window's strength: a glint counts as much as a car
 MIN_STRENGTH_SPREADS = 2.0  # of a peak
 SPREAD_RANGE = 0.03, 0.2  # of the flights that calibrate the model
-MAX_STRENGTH = 6.0  # strength counts no further
+MAX_STRENGTH = 6.0  # limit of the strength as a feature
 MIN_SPEED_M_S, SPEED_STEP_M_S = 2.5, 1.2
 FEATURES = (
     "support_root", "strength", "still", "still_root", "restless", "restless_root", "log_spread"
 )  # fmt: skip
-MAX_RATIO = 8.0  # beyond it the calibration flights hold no clutter to count
+MAX_RATIO = 8.0  # beyond it the calibration flights have no clutter
 MIN_RATIO = 1.1  # of a detection: with less false tracks come, with more tracks are lost
-_ROUNDING = 1 - 1e-9  # of the best motion's support: rounding in a sum leaves out none that is better
+_ROUNDING = 1 - 1e-9  # rounding of a sum must not exclude the best motion
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class PastStrength:
     Parameters
     ----------
     layers, ages_s
-        Of each frame, the greatest within a cell [1], and how long ago it was [s].
+        Strength in each frame, the greatest within a cell [1], and its age [s].
     restless
         Mean over the last seconds. [1]
     """
@@ -66,9 +66,9 @@ class Peaks:
         Row and column of each in the grid of windows. [cell]
     features
         `FEATURES` of each: root of the mean strength along the best straight motion; its own strength; the
-        mean at a standstill, which speaks against a vehicle; the mean over the last seconds at its place,
-        which speaks for one, since roads are where something moved before; and the logarithm of the frame's
-        spread, since a strength says more where windows hold more readings. [1]
+        mean at a standstill, which is evidence against a vehicle; the mean over the last seconds at its
+        place, which is evidence for one, since other vehicles moved there; and the logarithm of the frame's
+        spread, since a strength is better known in windows with more readings. [1]
     velocity
         East and north speed of that motion. [m s⁻¹]
     """
@@ -83,16 +83,14 @@ class Peaks:
 
 
 def no_peaks() -> Peaks:
-    """No peaks at all."""
+    """Return an empty set of peaks."""
     return Peaks(np.empty((0, 2)), np.empty((0, len(FEATURES))), np.empty((0, 2)))
 
 
-def searched_elements(
-    layout: tuple[tuple[str | float, ...], ...], channel: str
-) -> tuple[tuple[int, int], ...]:
-    """Places in the superpixel of the elements that a channel searches.
+def select_elements(layout: tuple[tuple[str | float, ...], ...], channel: str) -> tuple[tuple[int, int], ...]:
+    """Select the elements of a superpixel that a channel searches.
 
-    Without a mirror or an open element, pan is what the polarizers see.
+    Without a mirror or an open element, pan is the polarizers.
 
     Raises
     ------
@@ -108,19 +106,19 @@ def searched_elements(
                 f"got {len(polarizers)}"
             )
         return tuple(polarizers)
-    bare = [place for place in every if place not in polarizers]
-    return tuple(bare if channel == "pan" and bare else every)
+    open_ = [place for place in every if place not in polarizers]
+    return tuple(open_ if channel == "pan" and open_ else every)
 
 
 def element_change(
     seen: ElementPrediction, mosaic: Mosaic, places: tuple[tuple[int, int], ...], channel: str
 ) -> tuple[tuple[Float[Array, "row column"], ...], Float[Array, "plane 2"]]:
-    """Squared change over its variance, and where in the superpixel each plane of it lies.
+    """Squared change over its variance, and the position of each of its planes in the superpixel.
 
     Parameters
     ----------
     seen, mosaic, places
-        The prediction of these kinds of elements, and what it was made of.
+        Prediction of these kinds of elements, and the mosaic.
     channel
         ``pan``, ``dolp`` or ``all``.
     """
@@ -129,14 +127,15 @@ def element_change(
     gains = np.array([mosaic.gains[place] for place in places])
     to_stokes = np.linalg.pinv(gains)
     out = np.empty(seen.z2[0].shape, np.float32)
-    stack = (np.stack(part, axis=-1) for part in (seen.readings, seen.expected, seen.var))
-    over_rows(_normalized_stokes, len(out), *stack, to_stokes, out)
+    expected = tuple(one[..., 0] for one in seen.fitted)
+    stack = (np.stack(part, axis=-1) for part in (seen.readings, expected, seen.var))
+    over_rows(_stokes_change, len(out), *stack, to_stokes, out)
     return (out,), np.array([np.mean(places, axis=0)])
 
 
 @nb.njit(cache=True, nogil=True)
-def _normalized_stokes(start, stop, readings, expected, var, to_stokes, out):
-    """Mahalanobis distance of (S1, S2)/S0 from its expectation, halved: like one z² for two numbers."""
+def _stokes_change(start, stop, readings, expected, var, to_stokes, out):
+    """Mahalanobis distance of (S1, S2)/S0 from its prediction, halved: equivalent to one z²."""
     n = readings.shape[2]
     s, t = np.empty(3), np.empty(3)
     for i in range(start, stop):
@@ -168,7 +167,7 @@ def evidence_on_ground(
     side: int,
     element: tuple[Float[Array, "y x"], Float[Array, "y x"]],
 ) -> Float[Array, "y x"]:
-    """Mean over the planes of log(1 + z²/ν) where each cell of a ground grid is seen; 0 where unknown.
+    """Mean over the planes of log(1 + z²/ν) for each cell of a ground grid; 0 where unknown.
 
     Parameters
     ----------
@@ -177,7 +176,7 @@ def evidence_on_ground(
     side
         Elements along a superpixel.
     element
-        Row and column of the element that sees each cell.
+        Row and column of the element of each cell.
     """
     out = np.zeros(element[0].shape, np.float32)
     logs = np.log1p(np.stack(planes) * np.float32(1 / FREEDOM))
@@ -195,7 +194,7 @@ def _gather(start, stop, planes, offsets, side, row, column, out):
         for i in range(start, stop):
             for j in range(out.shape[1]):
                 r, c = row[i, j] * per_side + first_row, column[i, j] * per_side + first_column
-                if r >= 0 and c >= 0 and r < rows and c < columns:  # False of what sees nothing
+                if r >= 0 and c >= 0 and r < rows and c < columns:  # False for NaN
                     value = planes[k, int(r), int(c)]
                     if value == value:
                         out[i, j] += share * value
@@ -209,13 +208,13 @@ def find_peaks(
     cell_m: float,
     max_speed_m_s: float,
 ) -> Peaks:
-    """Peaks of a frame and their features.
+    """Find the peaks of a frame and their features.
 
     Parameters
     ----------
     means, usual, spread
-        Evidence on the ground under the windows, its median, and the median of what lies above it, less
-        that: of the ground at rest, since vehicles are few. [1]
+        Evidence on the ground under the windows, its median, and the median of the values above it, less
+        that: statistics of the ground at rest, since vehicles are few. [1]
     past
         Strength in the frames before.
     cell_m
@@ -228,7 +227,11 @@ def find_peaks(
     now = means[tuple(cells.T)] - usual
     place = peak_places(means - np.float32(usual), cells)
     velocity = velocities(MIN_SPEED_M_S, max_speed_m_s, SPEED_STEP_M_S)
-    best, motion, still = motion_support(past, cells, np.clip(now, 0.0, CAP), velocity, cell_m)
+    # mean strength along the best straight motion and at a standstill; off the grid a frame counts as half
+    best, motion, still = np.empty(len(cells)), np.zeros((len(cells), 2)), np.empty(len(cells))
+    layers, ages_s = np.ascontiguousarray(past.layers, np.float32), np.asarray(past.ages_s, float)
+    strength = np.clip(now, 0.0, CAP)
+    over_rows(_support, len(cells), layers, ages_s, cells, strength, velocity, cell_m, best, motion, still)
     often, strength = past.restless[tuple(cells.T)], np.minimum(now, MAX_STRENGTH)
     whole = np.full(len(cells), np.log(spread))
     features = [np.sqrt(best), strength, still, np.sqrt(still), often, np.sqrt(often), whole]
@@ -243,40 +246,6 @@ def velocities(slowest_m_s: float, fastest_m_s: float, step_m_s: float) -> Float
     speed = np.hypot(east, north)
     inside = (speed >= slowest_m_s) & (speed <= fastest_m_s)
     return np.stack([east[inside], north[inside]], axis=-1)
-
-
-def motion_support(
-    past: PastStrength,
-    peak: Int[Array, "peak 2"],
-    strength: Float[Array, "peak"],
-    velocity: Float[Array, "velocity 2"],
-    cell_m: float,
-) -> tuple[Float[Array, "peak"], Float[Array, "peak 2"], Float[Array, "peak"]]:
-    """Mean strength of each peak along its best straight motion, and that motion.
-
-    Parameters
-    ----------
-    past
-        Strength in the frames before.
-    peak, strength
-        Row and column of the peaks of this frame, and their strengths.
-    velocity
-        East and north speeds to be tried. [m/s]
-    cell_m
-        Side of a cell. [m]
-
-    Returns
-    -------
-    Mean over this and the earlier frames, the velocity [m/s], and the same mean at a standstill. Off the grid
-    an earlier frame counts as half of the peak: it says nothing.
-    """
-    out, best = np.empty(len(peak)), np.zeros((len(peak), 2))
-    still = np.empty(len(peak))
-    layers, ages_s = np.ascontiguousarray(past.layers, np.float32), np.asarray(past.ages_s, float)
-    over_rows(
-        _support, len(peak), layers, ages_s, peak, strength, velocity, cell_m, out, best, still
-    )  # fmt: skip
-    return out, best, still
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy")
@@ -302,7 +271,7 @@ def _support(start, stop, layers, ages, peak, strength, velocity, cell, out, bes
                     total += min(layers[f, r, c], now)
                 else:
                     total += 0.5 * now
-                if total + (frames - 1 - f) * now < _ROUNDING * most:  # whatever the other frames show
+                if total + (frames - 1 - f) * now < _ROUNDING * most:  # for any strength in the other frames
                     break
             if total > most:
                 most = total
@@ -315,8 +284,8 @@ def log_likelihood_ratio(channel: str, features: Float[Array, "peak feature"]) -
     return np.minimum(read_calibration("mosaic").models[channel].log_odds(features), MAX_RATIO)
 
 
-def ratio_of_detections(channel: str, ratio: Float[Array, "peak"]) -> Float[Array, "peak"]:
-    """Log-likelihood ratio among peaks beyond `MIN_RATIO`, of which little clutter is left. [nat]
+def detection_ratio(channel: str, ratio: Float[Array, "peak"]) -> Float[Array, "peak"]:
+    """Log-likelihood ratio among the peaks beyond `MIN_RATIO`, which contain little clutter. [nat]
 
     Bayes's rule needs p(features, detected | vehicle) over the density of the clutter that is detected, which
     the tracker measures. So the logarithm of the ratio of the two detection probabilities is subtracted.

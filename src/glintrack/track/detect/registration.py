@@ -1,10 +1,10 @@
 """Register a frame to a background to a fraction of a pixel, as a whole and tile by tile, in gain and offset.
 
 Rectification leaves errors of a fraction of a pixel that differ over the frame: of pose, of terrain, of a
-mosaic of cameras. The shift of the whole frame is found from coarse to fine. Then each tile takes one
+mosaic of cameras. The shift of the whole frame is estimated from coarse to fine. Then each tile takes one
 weighted Gauss-Newton step of Lucas and Kanade (IJCAI 1981). Its normal equations are summed with its
-neighbours', and a prior keeps its deviation small. Vehicles have little influence: large differences weigh
-little.
+neighbours', and a prior limits its deviation. Large differences have small weights, so that vehicles have
+little influence.
 """
 
 import math
@@ -43,7 +43,7 @@ def estimate_shifts(
     for level in LEVELS:
         if min(image.shape) < level * MIN_PIXELS:
             continue
-        here, there = _coarser(image, level), _coarser(background, level)
+        here, there = _downsample(image, level), _downsample(background, level)
         for _ in range(STEPS):
             placed = shift_image(here, whole / level)
             whole = whole + level * _step(placed, there, 2 * _scale_of(placed - there))
@@ -54,37 +54,42 @@ def estimate_shifts(
     sums = _normal_equations(placed, background, 2 * noise, shape)
     for axis in (0, 1):
         sums = 3 * ndimage.uniform_filter1d(sums, 3, axis, mode="nearest")
-    ridge = (noise / PRIOR_PX) ** 2
-    rr, rc, cc, r, c = (sums[..., k] for k in range(5))
-    rr, cc = rr + ridge, cc + ridge
-    determinant = rr * cc - rc * rc
-    step = np.stack([-(r * cc - c * rc), -(c * rr - r * rc)], axis=-1) / determinant[..., None]
+    step, _ = _solve(sums, (noise / PRIOR_PX) ** 2)
     return (whole + np.clip(step, -1, 1)).astype(np.float32)
 
 
 def _step(image: Array, background: Array, clip: float) -> Float[Array, "2"]:
-    """Displacement of a whole image by one step, at most `MAX_STEP_PX`; 0 without texture. [pixel]"""
-    rr, rc, cc, r, c = _normal_equations(image, background, clip, (1, 1))[0, 0]
-    determinant = rr * cc - rc * rc
-    if not determinant > 1e-6 * rr * cc:
+    """Estimate the displacement of an image by one step, at most `MAX_STEP_PX`. [pixel]"""
+    sums = _normal_equations(image, background, clip, (1, 1))[0, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        step, determinant = _solve(sums, 0.0)
+    if not determinant > 1e-6 * sums[0] * sums[2]:
         return np.zeros(2)
-    step = np.array([-(r * cc - c * rc), -(c * rr - r * rc)]) / determinant
     return step * min(1.0, MAX_STEP_PX / max(math.hypot(*step), 1e-12))
+
+
+def _solve(sums: Float[Array, "*n 5"], ridge: float) -> tuple[Float[Array, "*n 2"], Float[Array, "*n"]]:
+    """Solve the normal equations; with their determinant."""
+    rr, rc, cc, r, c = (sums[..., k] for k in range(5))
+    rr, cc = rr + ridge, cc + ridge
+    determinant = rr * cc - rc * rc
+    step = np.stack([-(r * cc - c * rc), -(c * rr - r * rc)], axis=-1) / determinant[..., None]
+    return step, determinant
 
 
 def _normal_equations(
     image: Array, background: Array, clip: float, shape: tuple[int, ...]
 ) -> Float[Array, "row column 5"]:
-    """Of a step down and right in each tile: three sums of squared slopes, two of slopes by differences."""
+    """Normal equations of a shift in each tile: sums of three squared slopes and two slopes by difference."""
     sums = np.zeros((*shape, 5))
     over_rows(_tile_sums, shape[0], image, background, np.float32(clip), sums)
     return sums
 
 
 def shift_image(image: Float[Array, "y x"], shift: Float[Array, "row column 2"]) -> Float[Array, "y x"]:
-    """Image whose pixel is what was at its place plus its tile's shift: cubic, shifts linear between tiles.
+    """Sample an image at every pixel plus its tile's shift: cubic, with shifts linear between tiles.
 
-    Where the cubic's pixels are not all known the nearest one counts.
+    Next to missing data the nearest pixel is taken.
     """
     out = np.empty(image.shape, np.float32)
     image = np.ascontiguousarray(image, np.float32)
@@ -92,8 +97,8 @@ def shift_image(image: Float[Array, "y x"], shift: Float[Array, "row column 2"])
     return out
 
 
-def some_of(image: Float[Array, "y x"], most: int = SAMPLES) -> Float[Array, "pixel"]:
-    """At most so many pixels, evenly over the image but not along its columns."""
+def subsample(image: Float[Array, "y x"], most: int = SAMPLES) -> Float[Array, "pixel"]:
+    """Take at most so many pixels, evenly over the image but not along its columns."""
     step = -(-image.size // most)
     while step > 1 and (image.shape[1] % step == 0 or image.shape[1] % step == step - 1):
         step += 1
@@ -101,8 +106,8 @@ def some_of(image: Float[Array, "y x"], most: int = SAMPLES) -> Float[Array, "pi
 
 
 def gain_between(image: Float[Array, "y x"], background: Float[Array, "y x"]) -> tuple[float, float]:
-    """Gain and offset that bring a frame to a background: a line, fitted again to what lies near it."""
-    x, y = (some_of(one).astype(float) for one in (image, background))
+    """Fit gain and offset of a background against a frame: a line, fitted again to the pixels near it."""
+    x, y = (subsample(one).astype(float) for one in (image, background))
     known = np.isfinite(x) & np.isfinite(y)
     x, y = x[known], y[known]
     if len(x) < 16 or np.ptp(x) == 0:
@@ -125,13 +130,13 @@ def gain_between(image: Float[Array, "y x"], background: Float[Array, "y x"]) ->
 
 
 def _scale_of(difference: Array) -> float:
-    """Standard deviation by the median, of some of the pixels that are known."""
-    known = some_of(difference)
+    """Estimate the standard deviation by the median, from a sample of the known pixels."""
+    known = subsample(difference)
     known = known[np.isfinite(known)]
     return float(1.4826 * np.median(np.abs(known))) + 1e-12 if len(known) else 1.0
 
 
-def _coarser(image: Array, factor: int) -> Array:
+def _downsample(image: Array, factor: int) -> Array:
     if factor == 1:
         return np.ascontiguousarray(image, np.float32)
     rows, columns = (n // factor for n in image.shape)
@@ -175,7 +180,7 @@ def _tile_sums(start, stop, image, background, clip, sums):
 
 @nb.njit(cache=True, nogil=True)
 def _shift_rows(start, stop, image, shift, out):
-    """Rows of `shift_locally`."""
+    """Rows of `shift_image`."""
     height, width = image.shape
     rows, columns = shift.shape[0], shift.shape[1]
     along = np.empty((columns, 2))
@@ -209,7 +214,7 @@ def _shift_rows(start, stop, image, shift, out):
                     row = image[min(max(p0 + k - 1, 0), height - 1)]
                     for m in range(4):
                         total += wy[k] * wx[m] * row[min(max(q0 + m - 1, 0), width - 1)]
-            if not (total == total):  # beside missing data
+            if not (total == total):  # next to missing data
                 total = image[
                     min(max(int(np.rint(p)), 0), height - 1), min(max(int(np.rint(q)), 0), width - 1)
                 ]

@@ -1,9 +1,8 @@
 """Median and spread of each pixel in a window of past frames, and the change against them.
 
-Background is the median of the window, with the frame itself in it: from three frames on, what moves is in
-none of it. The variance of a residual is a + b |∇B|² + c S²: noise, registration error times gradient (a and
-b are fitted to each frame), and what this pixel has been seen to do before (S, the median deviation of the
-window).
+The background is the median of the window, with the frame itself in it: from three frames on it contains no
+moving vehicle. The variance of a residual is a + b |∇B|² + c S²: noise, registration error times gradient (a
+and b are fitted to each frame), and the past deviation of this pixel (S, the median deviation of the window).
 """
 
 from itertools import pairwise
@@ -15,11 +14,11 @@ from scipy import ndimage
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
-from glintrack.track.detect.registration import some_of
+from glintrack.track.detect.registration import subsample
 
 BINS = 24  # of gradient, in which a frame's noise is fitted
-QUANTILE, OF_GAUSSIAN = 0.75, 1.1503  # of |residual|, and what it is of a unit Gaussian
-LOWPASS_M = 25.0  # illumination that changes more slowly than this is no vehicle
+QUANTILE, OF_GAUSSIAN = 0.75, 1.1503  # of |residual|, and its value for a unit Gaussian
+LOWPASS_M = 25.0  # a change of illumination over this distance is no vehicle
 SPREAD_SHARE = 0.5
 
 
@@ -42,7 +41,7 @@ def gradient2(background: Float[Array, "y x"]) -> Float[Array, "y x"]:
     return ndimage.uniform_filter(gy * gy + gx * gx, 3)
 
 
-def standardized(
+def standardize_change(
     image: Float[Array, "y x"],
     background: Float[Array, "y x"],
     spread: Float[Array, "y x"],
@@ -50,33 +49,32 @@ def standardized(
     gsd_m: float,
     floor: float,
 ) -> Float[Array, "y x"]:
-    """Change of a frame in its standard deviations; NaN where there is no data. [1]
+    """Normalize the change of a frame by its standard deviation; NaN without data. [1]
 
     Parameters
     ----------
     image
-        Registered and of the background's gain. [unit of the image]
+        Frame, registered and with the background's gain. [unit of the image]
     background, spread, slope2
         From `median_and_spread` and `gradient2`.
     gsd_m
         Side of a pixel. [m]
     floor
-        Least standard deviation, such as that of rounding. [unit of the image]
+        Minimum standard deviation, such as that of rounding. [unit of the image]
     """
     rest = image - background
-    few, few_slopes = some_of(rest), some_of(slope2)
+    few, few_slopes = subsample(rest), subsample(slope2)
     known = np.isfinite(few)
     few, few_slopes = few[known], few_slopes[known]
     limit = 3 * float(1.4826 * np.median(np.abs(few))) + floor if len(few) else 1.0
     size = max(3, round(LOWPASS_M / gsd_m))
-    clipped, inside = np.empty(rest.shape, np.float32), np.empty(rest.shape, np.float32)
-    over_rows(_within, len(rest), rest, np.float32(limit), clipped, inside)
-    slow = ndimage.uniform_filter(clipped, size) / np.maximum(ndimage.uniform_filter(inside, size), 0.05)
-    a, b = _noise(few - some_of(slow)[known], few_slopes)
-    out = np.empty(rest.shape, np.float32)
-    least = np.float32(max(a, floor**2))
-    over_rows(_divided, len(rest), rest, slow, slope2, spread, least, np.float32(b), out)
-    return out
+    inside = np.abs(rest) <= np.float32(limit)
+    clipped, share = np.where(inside, rest, np.float32(0)), inside.astype(np.float32)
+    slow = ndimage.uniform_filter(clipped, size) / np.maximum(ndimage.uniform_filter(share, size), 0.05)
+    a, b = _noise(few - subsample(slow)[known], few_slopes)
+    variance = np.float32(max(a, floor**2)) + np.float32(b) * slope2
+    variance += np.float32(SPREAD_SHARE * 1.4826**2) * spread * spread
+    return ((rest - slow) / np.sqrt(variance)).astype(np.float32)
 
 
 def _noise(rest: Array, slope2: Array) -> tuple[float, float]:
@@ -95,27 +93,6 @@ def _noise(rest: Array, slope2: Array) -> tuple[float, float]:
     design = np.stack([np.ones_like(x), x], axis=1) * weight[:, None]
     a, b = np.linalg.lstsq(design, y * weight, rcond=None)[0]
     return (float(max(a, 0.25 * y.min())), float(b)) if b > 0 else (float(np.median(y)), 0.0)
-
-
-@nb.njit(cache=True, nogil=True)
-def _within(start, stop, rest, limit, clipped, inside):
-    """Residuals within a limit, 0 for others and unknown ones, and which they are."""
-    nothing, one = np.float32(0.0), np.float32(1.0)
-    for y in range(start, stop):
-        for x in range(rest.shape[1]):
-            here = abs(rest[y, x]) <= limit
-            clipped[y, x] = rest[y, x] if here else nothing
-            inside[y, x] = one if here else nothing
-
-
-@nb.njit(cache=True, nogil=True, error_model="numpy")
-def _divided(start, stop, rest, slow, slope2, spread, least, per_slope2, out):
-    """Residuals over what is slow, in their standard deviations."""
-    share = np.float32(SPREAD_SHARE * 1.4826**2)
-    for y in range(start, stop):
-        for x in range(rest.shape[1]):
-            variance = least + per_slope2 * slope2[y, x] + share * spread[y, x] * spread[y, x]
-            out[y, x] = (rest[y, x] - slow[y, x]) / np.sqrt(variance)
 
 
 @nb.njit(cache=True, nogil=True)
@@ -140,14 +117,10 @@ def _median_and_spread(start, stop, stack, least, median, spread):
                 continue
             m = values[n // 2] if n % 2 else np.float32(0.5) * (values[n // 2 - 1] + values[n // 2])
             median[y, x] = m
-            # two ordered runs of distances, from the middle outwards: the median is met on the way
-            low, high = (n - 1) // 2, n // 2
+            # merge two ordered runs of distances, from the middle outwards, up to their median
+            low, high, d, seen = (n - 1) // 2, n // 2, np.float32(0.0), 0
             if low == high:
-                low -= 1
-                d, seen = np.float32(0.0), 1
-                high += 1
-            else:
-                d, seen = np.float32(0.0), 0
+                low, high, seen = low - 1, high + 1, 1
             while seen < (n + 1) // 2:
                 left = m - values[low] if low >= 0 else np.float32(np.inf)
                 right = values[high] - m if high < n else np.float32(np.inf)

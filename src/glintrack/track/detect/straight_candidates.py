@@ -1,13 +1,14 @@
 """Candidates that move straight through a frame and two or three before it: strength, motion, likelihood.
 
-A place counts as much as the weakest of three frames shows along the best straight motion through it, plus a
-share of what a fourth shows there, less what stood there in the two frames before. A dark place beside a
-bright one is its shadow. Weights of the logistic model are in ``data/calibration/median_motion.toml``.
+The likelihood of a candidate rises with its strength in the weakest of three frames along its best straight
+motion and with that in a fourth frame, and falls with the strength at rest in the two frames before. A dark
+candidate next to a bright one is its shadow. Weights of the logistic model are in
+``data/calibration/median_motion.toml``.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
@@ -23,8 +24,8 @@ SHADOW_M = 5.0  # from a vehicle to the middle of its shadow, at most
 MIN_RATIO, MAX_RATIO = -0.5, 9.0  # of candidates
 MIN_SPEED_M_S = 1.5
 BEFORE = 3  # earlier frames that are searched
-SEEN_SHARE = 0.5  # of the present strength: so much in a fourth frame is the vehicle
-MAX_FOURTH = 1.5  # times the present strength: a fourth frame counts no more
+SEEN_SHARE = 0.5  # of the present strength: from it on a fourth frame contains the vehicle
+MAX_FOURTH = 1.5  # limit of a fourth frame, times the present strength
 
 
 @dataclass(frozen=True)
@@ -34,15 +35,15 @@ class StraightCandidates:
     Parameters
     ----------
     place, before
-        Row and column, and where the peak was in each of the three frames before, the latest first; NaN where
-        it was not seen. [pixel]
+        Row and column now, and in each of the three frames before, the latest first; NaN where it was not
+        found. [pixel]
     velocity
-        Along these. [pixel s⁻¹]
+        Velocity from these. [pixel s⁻¹]
     weakest, now, still, fourth
-        Strength: the least of three frames, of this one, of what stood there before, and of a fourth frame;
-        NaN where there is none. [1]
+        Strength: minimum of three frames, in this one, at rest before, and in a fourth frame; NaN without
+        one. [1]
     bright
-        Brighter than the background, not darker.
+        True if brighter than the background, False if darker.
     """
 
     place: Float[Array, "peak 2"]
@@ -59,8 +60,8 @@ class StraightCandidates:
         return len(self.now)
 
     def take(self, index: Array) -> "StraightCandidates":
-        """The candidates at an index or mask."""
-        return StraightCandidates(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        """Select the candidates at an index or mask."""
+        return StraightCandidates(**{name: values[index] for name, values in vars(self).items()})
 
     @property
     def ratio(self) -> Float[Array, "peak"]:
@@ -77,52 +78,54 @@ def find_candidates(
     gsd_m: float,
     max_speed_m_s: float,
 ) -> StraightCandidates:
-    """Peaks of the latest layers that may be vehicles, with their strength in the two or three before.
+    """Find peaks of the latest layers, with their strength in the two or three before.
 
     Parameters
     ----------
     layers
-        Of bright, and of dark: strength under the windows in this frame and those before it, the latest
+        Strength of bright and of dark changes under the windows in this frame and those before it, the latest
         first. [1]
     ages_s
-        Of those before. [s]
+        Ages of those before. [s]
     gsd_m
         Side of a pixel. [m]
     max_speed_m_s
         Greatest speed of a vehicle. [m s⁻¹]
     """
     steps = _steps(ages_s[0], gsd_m, max_speed_m_s)
-    bright, dark = (_of_contrast(one, ages_s, gsd_m, steps, k == 0) for k, one in enumerate(layers))
-    names = [field.name for field in fields(StraightCandidates)]
-    return StraightCandidates(
-        **{name: np.concatenate([getattr(bright, name), getattr(dark, name)]) for name in names}
-    )
+    bright, dark = (_find_contrast(one, ages_s, gsd_m, steps, k == 0) for k, one in enumerate(layers))
+    both = {name: np.concatenate([values, vars(dark)[name]]) for name, values in vars(bright).items()}
+    return StraightCandidates(**both)
 
 
-def _of_contrast(
+def _find_contrast(
     layers: Sequence[Float[Array, "y x"]],
     ages_s: Sequence[float],
     gsd_m: float,
     steps: Int[Array, "step 2"],
     bright: bool,
 ) -> StraightCandidates:
-    """Candidates of one contrast, bright or dark."""
-    cell = peaks(layers[0], _least_now(), APART_M, gsd_m)
+    """Find candidates of one contrast, bright or dark."""
+    cell = peaks(layers[0], _min_strength(), APART_M, gsd_m)
     now = layers[0][tuple(cell.T)]
     weakest, best, still = np.zeros(len(cell)), np.zeros((len(cell), 2)), np.zeros(len(cell))
     share = ages_s[1] / ages_s[0]
     reach = max(1, round(0.5 * share))
-    _follow(layers[1], layers[2], reach, cell, now, steps, share, weakest, best, still)
+    _find_motion(layers[1], layers[2], reach, cell, now, steps, share, weakest, best, still)
     fourth = np.full(len(cell), np.nan)
     if len(layers) > 3:
         share = ages_s[2] / ages_s[0]
-        _look(layers[3], round(0.5 * share + 0.5), cell, now, share * best, fourth)
+        there = np.floor(cell - share * best + 0.5).astype(int)
+        inside = ((there >= 0) & (there < layers[3].shape)).all(axis=1)
+        there = _strongest_cells(layers[3], cell - share * best, round(0.5 * share + 0.5))
+        strength = np.minimum(np.maximum(layers[3][tuple(there.T)], 0.0), MAX_FOURTH * now)
+        fourth[inside] = strength[inside]
     near = max(1, round(2 / gsd_m))
     place = peak_places(np.maximum(layers[0], 0), cell, near)
     before = np.full((len(cell), BEFORE, 2), np.nan)
     for k, layer in enumerate(layers[1:]):
         share = ages_s[k] / ages_s[0]
-        there = _greatest_near(layer, cell - share * best, round(0.5 * share + 0.25 * k))
+        there = _strongest_cells(layer, cell - share * best, round(0.5 * share + 0.25 * k))
         before[:, k] = peak_places(np.maximum(layer, 0), there, near)
     before[~(fourth >= SEEN_SHARE * now), 2] = np.nan
     velocity = (place - before[:, 1]) / ages_s[1]
@@ -138,10 +141,10 @@ def _of_contrast(
     )
 
 
-def _greatest_near(
+def _strongest_cells(
     layer: Float[Array, "y x"], place: Float[Array, "peak 2"], reach: int
 ) -> Int[Array, "peak 2"]:
-    """Cell of the greatest strength in a square about each place."""
+    """Cell of the greatest strength in a square around each position."""
     last = np.array(layer.shape) - 1
     middle = np.clip(np.floor(place + 0.5).astype(np.int64), 0, last)
     side = np.arange(-reach, reach + 1)
@@ -151,8 +154,8 @@ def _greatest_near(
     return cells[np.arange(len(cells)), best]
 
 
-def _least_now() -> float:
-    """Strength below which no past makes a candidate of a peak: it is never less than the weakest."""
+def _min_strength() -> float:
+    """Minimum strength of a candidate, for any strength in the frames before."""
     models = read_calibration("median_motion").models
     limits = []
     for model in (models["three_frames"], models["four_frames"]):
@@ -162,7 +165,7 @@ def _least_now() -> float:
 
 
 def _steps(interval_s: float, gsd_m: float, max_speed_m_s: float) -> Int[Array, "step 2"]:
-    """Rows and columns that a vehicle may have moved since the frame before."""
+    """Possible motions of a vehicle since the frame before, in rows and columns."""
     reach = math.ceil(max_speed_m_s * interval_s / gsd_m)
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     speed = np.hypot(row, column) * gsd_m / interval_s
@@ -183,10 +186,10 @@ def _greatest(layer, row, column, reach):
 
 
 @nb.njit(cache=True, nogil=True)
-def _follow(last, before, reach, cell, now, steps, share, weakest, best, still):
-    """The greatest least of three strengths along a straight motion, that motion, and the mean at rest.
+def _find_motion(last, before, reach, cell, now, steps, share, weakest, best, still):
+    """Find the straight motion with the greatest minimum of three strengths, and the mean at rest.
 
-    Among motions with the same least the one whose frames show most counts.
+    Among motions with the same minimum the one with the greatest sum is chosen.
     """
     height, width = last.shape
     for p in range(len(cell)):
@@ -202,7 +205,7 @@ def _follow(last, before, reach, cell, now, steps, share, weakest, best, still):
                 continue
             a = last[r1, c1]
             if min(now[p], a) + 0.02 * (min(a, 2 * now[p]) + 2 * now[p]) <= most:
-                continue  # whatever the frame before shows
+                continue  # for any strength in the frame before
             b = _greatest(before, r2, c2, reach)
             least = min(now[p], min(a, b))
             total = least + 0.02 * (min(a, 2 * now[p]) + min(b, 2 * now[p]))
@@ -214,27 +217,15 @@ def _follow(last, before, reach, cell, now, steps, share, weakest, best, still):
         still[p] = min(now[p], stood)
 
 
-@nb.njit(cache=True, nogil=True)
-def _look(layer, reach, cell, now, step, fourth):
-    """What a frame shows about the place from which each peak came; nothing where that is off the frame."""
-    height, width = layer.shape
-    for p in range(len(cell)):
-        r = int(np.floor(cell[p, 0] - step[p, 0] + 0.5))
-        c = int(np.floor(cell[p, 1] - step[p, 1] + 0.5))
-        if r < 0 or c < 0 or r >= height or c >= width:
-            continue
-        fourth[p] = min(max(_greatest(layer, r, c, reach), 0.0), MAX_FOURTH * now[p])
-
-
-def select_likeliest(found: StraightCandidates, most: int, gsd_m: float) -> StraightCandidates:
-    """The likeliest candidate of each vehicle, in order: no two nearer than a vehicle, and no shadows.
+def select_candidates(found: StraightCandidates, most: int, gsd_m: float) -> StraightCandidates:
+    """Select the most likely candidate of each vehicle: no two nearer than a vehicle, and no shadows.
 
     Parameters
     ----------
     found
         All candidates of a frame.
     most
-        How many there are at most.
+        Maximum number of candidates.
     gsd_m
         Side of a pixel. [m]
     """
@@ -243,11 +234,11 @@ def select_likeliest(found: StraightCandidates, most: int, gsd_m: float) -> Stra
     found = found.take(order[ratio[order] > MIN_RATIO][:most])
     if not len(found):
         return found
-    kept = np.ones(len(found), bool)
+    selected = np.ones(len(found), bool)
     near = np.sort(KDTree(found.place).query_pairs(SHADOW_M / gsd_m, output_type="ndarray"), axis=1)
     distance = gsd_m * np.hypot(*(found.place[near[:, 0]] - found.place[near[:, 1]]).T)
     other = found.bright[near[:, 0]] != found.bright[near[:, 1]]
     near = near[(distance <= APART_M) | other]
     for first, second in near[np.lexsort(near.T[::-1])]:
-        kept[second] &= not kept[first]
-    return found.take(kept)
+        selected[second] &= not selected[first]
+    return found.take(selected)
