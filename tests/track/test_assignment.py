@@ -10,13 +10,19 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import multivariate_normal
 
 from glintrack.track import assignment
-from glintrack.track.motion import Modes
+from glintrack.track.motion import Modes, position_density
 
 rounding = 1e-9
 
 
 def as_modes(mean, covariance):
     return Modes(mean[:, None], covariance[:, None], np.ones((len(mean), 1)))
+
+
+def negative_log_density(mean, covariance, tracks, detections, measured, noise):
+    """Cost of each pair without clutter and detector."""
+    density = position_density(as_modes(mean, covariance), tracks, detections, measured, noise)
+    return -np.log(np.maximum(density[:, 0], assignment.MIN_DENSITY_M2))
 
 
 @settings(deadline=None)
@@ -66,9 +72,7 @@ def test_gate_equals_brute_force(seed):
     root = rng.normal(size=(m, 2, 2))
     noise = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2)
     tracks, detections = assignment.gate(mean, covariance, measured, noise, gate)
-    cost = assignment.negative_log_likelihood(
-        as_modes(mean, covariance), np.ones(1), tracks, detections, measured, noise
-    )
+    cost = negative_log_density(mean, covariance, tracks, detections, measured, noise)
     found = dict(zip(zip(tracks.tolist(), detections.tolist(), strict=True), cost, strict=True))
     expected = {}
     for i in range(n):
@@ -86,9 +90,7 @@ def test_gate_grows_with_what_it_finds():
     noise = np.repeat(np.eye(2)[None], 200, axis=0)
     points = np.zeros((200, 2))
     tracks, detections = assignment.gate(mean, covariance, points, noise, 9.0)
-    cost = assignment.negative_log_likelihood(
-        as_modes(mean, covariance), np.ones(1), tracks, detections, points, noise
-    )
+    cost = negative_log_density(mean, covariance, tracks, detections, points, noise)
     assert len(tracks) == 200 * 200
     np.testing.assert_allclose(cost, np.log(2 * np.pi * 2))  # −ln N(0; 0, 2·1)
 
@@ -103,7 +105,7 @@ def test_order_of_detections_does_not_matter(seed):
     answers = []
     for z in (measured, measured[shuffled]):
         i, j = assignment.gate(mean, covariance, z, noise, 13.8)
-        cost = assignment.negative_log_likelihood(as_modes(mean, covariance), np.ones(1), i, j, z, noise)
+        cost = negative_log_density(mean, covariance, i, j, z, noise)
         chosen = assignment.assign(i, j, cost - 7.0, np.full(20, 2.0), 20)
         answers.append(np.where((chosen >= 0)[:, None], z[chosen], np.nan))
     np.testing.assert_array_equal(*answers)

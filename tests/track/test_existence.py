@@ -8,7 +8,6 @@ import pytest
 from glintrack import track
 from glintrack.track import existence
 from glintrack.track.existence import NEIGHBOUR_M, REASSIGNED_M
-from glintrack.track.existence import existence_log_odds as log_odds
 from glintrack.track.identity import BINS
 from glintrack.track.initiation import initiate, select
 from tests.plain import plain_tracker
@@ -17,6 +16,11 @@ CHANNELS = ("pan", "dolp", "all")
 AREA = track.Grid((40, 40), (-300.0, 300.0), 15.0)
 INTERVAL_S = 0.5
 EXISTENCE = {"reporting.method": "existence", "reporting.lag_s": 0.0, "initiation.rules": "change"}
+
+
+def log_odds(channel, targets):
+    """Log odds of targets without duplicates."""
+    return existence.group_log_odds(channel, targets, np.arange(len(targets)))
 
 
 def followed(east_m, speed_m_s=10.0, trust: float | np.ndarray = 2.0):

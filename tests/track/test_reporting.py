@@ -129,7 +129,7 @@ def test_one_that_leads_back_onto_another_is_not_told_beside_it():
     gap_m = reporting.DUPLICATE_M - 0.5
     found = [seen([(east(k), 0.0), (east(k) + gap_m, 0.0)][: 1 + (k >= born)]) for k in range(12)]
     known = moments_of(found)[born - 1 : born + 3]
-    assert (reporting._extrapolated_tracks(known).mean[:, 0] - east(born - 1) < reporting.DUPLICATE_M).all()
+    assert (reporting._extrapolate_tracks(known).mean[:, 0] - east(born - 1) < reporting.DUPLICATE_M).all()
     assert len(reporting.report_candidates(known).ident) == 1
 
 

@@ -60,12 +60,7 @@ def multi_object_scores(epochs: Sequence[Similarity]) -> dict[str, float]:
     ``mota``, ``motp`` (mean similarity of matches), ``idf1``, ``hota``, ``deta``, ``assa`` [1]. Where there
     are neither vehicles nor tracks they are 0, as in TrackEval.
     """
-    return {**_clear(epochs), **_identity(epochs), **_hota(epochs)}
-
-
-def idf1(epochs: Sequence[Similarity]) -> float:
-    """IDF1 alone; see `multi_object_scores`. [1]"""
-    return _identity(epochs)["idf1"]
+    return {**_clear(epochs), "idf1": idf1(epochs), **_hota(epochs)}
 
 
 class _Numbered:
@@ -120,7 +115,8 @@ def _clear(epochs: Sequence[Similarity]) -> dict[str, float]:
     }
 
 
-def _identity(epochs: Sequence[Similarity]) -> dict[str, float]:
+def idf1(epochs: Sequence[Similarity]) -> float:
+    """IDF1 of a whole run. [1]"""
     numbered = _Numbered(epochs)
     pairs, places = numbered.pairs(SAME)
     together = np.bincount(np.concatenate([which for _, _, which in places] or [pairs]), minlength=len(pairs))
@@ -132,7 +128,7 @@ def _identity(epochs: Sequence[Similarity]) -> dict[str, float]:
         table = np.zeros((i.max() + 1, j.max() + 1))
         table[i, j] = together[one]
         true += int(table[linear_sum_assignment(-table)].sum())
-    return {"idf1": float(true / max(1, 0.5 * (seen + reported)))}
+    return float(true / max(1, 0.5 * (seen + reported)))
 
 
 def _hota(epochs: Sequence[Similarity]) -> dict[str, float]:

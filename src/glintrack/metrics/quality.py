@@ -5,7 +5,7 @@ import math
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, minimum_filter
 
 from glintrack.camera import Camera, Pose, ground_points, project
 from glintrack.core.arrays import Array
@@ -138,9 +138,8 @@ def ssim(image: Float[Array, "y x"], truth: Float[Array, "y x"], peak: float | N
     c1, c2 = ((k * peak) ** 2 for k in _SSIM_K)
     index = (2 * mx * my + c1) * (2 * cov + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))
     reach = int(_SSIM_REACH * _SSIM_SIGMA_PX + 0.5)
-    whole = np.pad(both, reach)  # the border has no data
-    lines = np.lib.stride_tricks.sliding_window_view(whole, 2 * reach + 1, axis=0).all(axis=-1)
-    inside = np.lib.stride_tricks.sliding_window_view(lines, 2 * reach + 1, axis=1).all(axis=-1)
+    # the border has no data
+    inside = minimum_filter(both, 2 * reach + 1, mode="constant", cval=False)
     return float(index[inside].mean()) if inside.any() else float("nan")
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.records import Extent
@@ -60,7 +60,9 @@ def score_rows(
     epochs, of_vehicles = _epochs_of(truth)
     of_tracks = _split(_epoch_of(tracks, epochs), len(epochs))
     (vehicles, vehicle_m), (found, track_m) = _objects(truth, "vehicle_id"), _objects(tracks, "track_id")
-    vehicle_inside, track_inside = _is_inside(vehicle_m, area), _is_inside(track_m, area)
+    vehicle_inside, track_inside = (
+        ((place_m >= area[:2]) & (place_m <= area[2:])).all(axis=1) for place_m in (vehicle_m, track_m)
+    )
     alike, distances = [], []
     for track_rows, vehicle_rows in zip(of_tracks, of_vehicles, strict=True):
         t, v = track_rows[track_inside[track_rows]], vehicle_rows[vehicle_inside[vehicle_rows]]
@@ -171,8 +173,3 @@ def _area(truth: xr.Dataset) -> Extent:
     low, high = place.min(axis=0), place.max(axis=0)
     room_m = 0.0 if inside.any() and (high > low).all() else 1.0
     return Extent(*(low - room_m).tolist(), *(high + room_m).tolist())
-
-
-def _is_inside(position_m: Float[Array, "row 2"], area: Extent) -> Bool[Array, "row"]:
-    """Return True for positions in the area."""
-    return ((position_m >= area[:2]) & (position_m <= area[2:])).all(axis=1)

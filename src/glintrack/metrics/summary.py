@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
+from scipy.stats import CensoredData, ecdf
 
 from glintrack.core.arrays import Array
 from glintrack.metrics.multi_object import Similarity, idf1
@@ -170,20 +171,12 @@ def median_time_to_loss(epochs: Sequence[EpochScore]) -> float:
         is_lost = here[pair[0]] > k
         durations_s.append(times[k + 1 if is_lost else k] - times[first[pair]])
         lost.append(is_lost)
-    return _product_limit_median(np.array(durations_s, float), np.array(lost, bool))
-
-
-def _product_limit_median(times_s: Array, ended: Array) -> float:
-    """First time at which the product-limit estimate of survival is at most 0.5; NaN if there is none."""
-    if not np.isfinite(times_s).all():  # epochs without a time
+    times_s, ended = np.array(durations_s, float), np.array(lost, bool)
+    if not ended.any() or not np.isfinite(times_s).all():
         return float("nan")
-    surviving = 1.0
-    for time_s in np.unique(times_s[ended]):
-        at_risk = int((times_s >= time_s).sum())
-        surviving *= 1 - int((ended & (times_s == time_s)).sum()) / at_risk
-        if surviving <= 0.5:
-            return float(time_s)
-    return float("nan")
+    survival = ecdf(CensoredData(uncensored=times_s[ended], right=times_s[~ended])).sf
+    half = np.flatnonzero(survival.probabilities <= 0.5 + 1e-12)
+    return float(survival.quantiles[half[0]]) if len(half) else float("nan")
 
 
 def same_track_after(epochs: Sequence[EpochScore], delay_s: float = DELAY_S) -> float:

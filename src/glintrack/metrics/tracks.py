@@ -224,20 +224,11 @@ def match_epoch(
     excused = np.zeros(len(track_m), bool)
     excused[near[~should[near[:, 1]], 0]] = True
     return EpochScore(
-        vehicle_ids=vehicles.ids,
-        track_ids=track_ids,
-        should=should,
-        visible=vehicles.visible,
-        inside=vehicles.inside,
-        matched_track=matched_track,
-        matched_vehicle=matched_vehicle,
-        distance_m=matched_distance,
-        valid=valid,
-        false=~matched & ~excused,
-        near=near,
-        time_s=float(time_s),
-        area_km2=area_km2,
-    )
+        vehicle_ids=vehicles.ids, track_ids=track_ids, should=should, visible=vehicles.visible,
+        inside=vehicles.inside, matched_track=matched_track, matched_vehicle=matched_vehicle,
+        distance_m=matched_distance, valid=valid, false=~matched & ~excused, near=near,
+        time_s=float(time_s), area_km2=area_km2,
+    )  # fmt: skip
 
 
 def near_pairs(

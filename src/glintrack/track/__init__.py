@@ -9,7 +9,7 @@ from glintrack.track.detect.detections import Association, Detections, no_detect
 from glintrack.track.detect.detector import DETECTORS, Detector, detector_of
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.files import track_detections, track_frames
-from glintrack.track.frame_detections import FrameDetections, detect_frame, prepare_detections
+from glintrack.track.frame_detections import FrameDetections, TrackerState, detect_frame, prepare_detections
 from glintrack.track.queries import query_detections, query_predictions
 from glintrack.track.reporting import (
     PendingEpoch,
@@ -18,7 +18,6 @@ from glintrack.track.reporting import (
     report,
     report_epochs,
 )
-from glintrack.track.state import TrackerState
 from glintrack.track.tracker import start, step, step_detections
 
 __all__ = [

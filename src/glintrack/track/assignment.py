@@ -7,7 +7,7 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
-from glintrack.track.motion import Modes, mahalanobis_squared, position_density
+from glintrack.track.motion import mahalanobis_squared
 
 MIN_DENSITY_M2 = 1e-300  # a smaller one has no logarithm in double precision
 _MAX_SWEEPS, _MAX_CHANGE = 200, 1e-10  # message passing ends when no message changes by more
@@ -45,32 +45,6 @@ def gate(
     apart, spread = measured[detections] - mean[tracks, :2], covariance[tracks, :2, :2]
     inside = mahalanobis_squared(apart, spread + measured_covariance[detections])[0] <= gate_distance2
     return tracks[inside], detections[inside]
-
-
-def negative_log_likelihood(
-    modes: Modes,
-    detection: Float[Array, "mode"],
-    tracks: Int[Array, "pair"],
-    detections: Int[Array, "pair"],
-    measured: Float[Array, "detection 2"],
-    measured_covariance: Float[Array, "detection 2 2"],
-) -> Float[Array, "pair"]:
-    """Negative log of the density with which each target is detected at its pair's position. [nat]
-
-    Parameters
-    ----------
-    modes
-        Predicted states.
-    detection
-        Probability that a target in each mode is detected. [1]
-    tracks, detections
-        Indices of each pair.
-    measured, measured_covariance
-        East and north of the detections. [m, m²]
-    """
-    normal = position_density(modes, tracks, detections, measured, measured_covariance)
-    density = ((modes.probability * detection)[tracks] * normal).sum(axis=1)
-    return -np.log(np.maximum(density, MIN_DENSITY_M2))
 
 
 def marginals(

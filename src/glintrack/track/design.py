@@ -155,21 +155,13 @@ class TrackDesign(Design):
     """Design of the tracker; the ``[track]`` table of a case."""
 
     detect: DetectDesign = DetectDesign()
-    """Detector of vehicles in frames."""
     motion: MotionDesign = MotionDesign()
-    """Motion model of vehicles."""
     association: AssociationDesign = AssociationDesign()
-    """Data association."""
     initiation: InitiationDesign = InitiationDesign()
-    """Track initiation, confirmation, coasting and deletion."""
     reporting: ReportingDesign = ReportingDesign()
-    """Selection and lag of the reported tracks."""
     query: QueryDesign = QueryDesign()
-    """Queries for spectra."""
     identity: IdentityDesign = IdentityDesign()
-    """Spectral evidence of identity."""
     roads: RoadsDesign = RoadsDesign()
-    """Road map of the tracker."""
 
     @model_validator(mode="after")
     def _no_key_that_reporting_ignores(self) -> Self:

@@ -39,8 +39,8 @@ PAIR_MAX_MISSES = 1
 REASSIGNED_M = 6.0
 
 
-def existence_log_odds(channel: str, targets: Targets) -> Float[Array, "target"]:
-    """Log odds that each target is a vehicle near its estimated position. [nat]
+def group_log_odds(channel: str, targets: Targets, leader: Int[Array, "target"]) -> Float[Array, "target"]:
+    """Log odds that each target is a vehicle near its position; of a leader the greatest of its group. [nat]
 
     Parameters
     ----------
@@ -48,21 +48,10 @@ def existence_log_odds(channel: str, targets: Targets) -> Float[Array, "target"]
         ``pan``, ``dolp`` or ``all``.
     targets
         All targets; the confirmed ones count as neighbours.
-    """
-    return read_calibration("existence").models[channel].log_odds(existence_features(targets))
-
-
-def group_log_odds(channel: str, targets: Targets, leader: Int[Array, "target"]) -> Float[Array, "target"]:
-    """Log odds of existence; a leader has the greatest of its duplicates. [nat]
-
-    Parameters
-    ----------
-    channel, targets
-        See `existence_log_odds`.
     leader
         Index of the target that is reported for each target (`leaders`).
     """
-    own = existence_log_odds(channel, targets)
+    own = read_calibration("existence").models[channel].log_odds(existence_features(targets))
     odds = own.copy()
     np.maximum.at(odds, leader, own)
     return odds

@@ -1,17 +1,20 @@
-"""Detect in a frame, and predict the targets to it: everything that association needs."""
+"""State of the tracker; detections of an epoch and the targets predicted to it, the input of association."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.track import clutter, hypotheses
+from glintrack.track import clutter, hypotheses, identity
+from glintrack.track.design import TrackDesign
 from glintrack.track.detect import detections
-from glintrack.track.detect.detections import Detections, order, take
+from glintrack.track.detect.detections import Detections, no_detections, order, take
 from glintrack.track.detect.detector import Detector, detector_of
 from glintrack.track.detect.frame import Frame, Grid, grid_of, in_view
+from glintrack.track.existence import Duplicates, no_duplicates
 from glintrack.track.initiation import Targets
 from glintrack.track.motion import (
     COAST_DAMPING_S,
@@ -20,7 +23,59 @@ from glintrack.track.motion import (
     motion_model,
     predict_modes,
 )
-from glintrack.track.state import TrackerState
+from glintrack.track.roads import Roads
+
+
+@dataclass(frozen=True)
+class TrackerState:
+    """State of the tracker between two frames.
+
+    Parameters
+    ----------
+    design, detector, seed
+        See `start`; without a detector the first frame decides.
+    frame
+        Number of frames processed.
+    time_s, interval_s
+        Epoch of the last frame, and time between the last two (0 before the second). [s]
+    grid, memory, clutter
+        Grid of the frames, the detector's own state, and the clutter density [m⁻²]; None before the first.
+    targets, next_id
+        All targets, confirmed or not, and the id of the next one.
+    population, ground
+        Spectral features of vehicles, and of the road.
+    detections
+        Detections of the last frame.
+    roads
+        Road map, if one is used.
+    leaves
+        Hypotheses of every target, with multi-hypothesis tracking; `targets` are the best of them.
+    duplicates
+        Pairs of targets on one vehicle, with existence reporting.
+    """
+
+    design: TrackDesign
+    detector: Detector | None
+    seed: int
+    targets: Targets
+    population: identity.Population
+    ground: identity.Population
+    frame: int = 0
+    time_s: float = -math.inf
+    interval_s: float = 0.0
+    grid: Grid | None = None
+    memory: Any = None
+    clutter: Float[Array, "row column"] | None = None
+    next_id: int = 0
+    detections: Detections = field(default_factory=no_detections)
+    roads: Roads | None = None
+    leaves: hypotheses.Leaves | None = None
+    duplicates: Duplicates = field(default_factory=no_duplicates)
+
+    @property
+    def effective_design(self) -> TrackDesign:
+        """Design in use for the detections of the last frame."""
+        return self.design.effective(self.detections.log_likelihood_ratio is not None)
 
 
 @dataclass(frozen=True)
@@ -62,13 +117,7 @@ class FrameDetections:
     order: Int[Array, "detection"] | None = None
 
     def check(self, state: TrackerState, time_s: float | None = None) -> None:
-        """Refuse detections of another state or time.
-
-        Raises
-        ------
-        ValueError
-            If state or time differ.
-        """
+        """Raise a ValueError for another state or time than that of the detections."""
         if self.state is not state:
             raise ValueError(
                 f"frame detections must be of the state that they are used with, got those of frame "
@@ -96,17 +145,14 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
     """
     design, interval_s = state.design, _interval(state, frame.time_s)
     grid = grid_of(frame, state.grid)
-    targets = predict_targets(_hypotheses(state), motion_model(design, interval_s))
+    targets = _predict_state(state, motion_model(design, interval_s))
     on_map = targets.confirmed & (targets.unseen_s <= design.initiation.coast_s)
     if state.leaves is not None:  # only the best hypothesis steers the search
         on_map &= state.leaves.chosen
     frame = replace(
-        frame,
-        grid=grid,
-        channel=design.detect.channel,
-        interval_s=interval_s,
+        frame, grid=grid, channel=design.detect.channel, interval_s=interval_s,
         expected_m=targets.position[on_map],
-    )
+    )  # fmt: skip
     detector = state.detector or detector_of(design.detect, frame)
     memory = detector.start(frame) if state.memory is None else state.memory
     given = detector.detect(memory, frame)
@@ -142,19 +188,13 @@ def prepare_detections(state: TrackerState, found: Detections, time_s: float, gr
     interval_s = _interval(state, time_s)
     motion = motion_model(state.design, interval_s)
     found = take(detections.check(found), order(found))
-    targets = predict_targets(_hypotheses(state), motion)
+    targets = _predict_state(state, motion)
     least_m2 = state.design.association.clutter_density_m2
     return FrameDetections(
-        state=state,
-        time_s=float(time_s),
-        interval_s=interval_s,
-        grid=grid,
-        motion=motion,
-        predicted=targets,
-        in_view=np.ones(len(targets)),
-        found=found,
+        state=state, time_s=float(time_s), interval_s=interval_s, grid=grid, motion=motion,
+        predicted=targets, in_view=np.ones(len(targets)), found=found,
         density=clutter.density_at(clutter.map_of(state, grid), grid, found.position, least_m2),
-    )
+    )  # fmt: skip
 
 
 def _interval(state: TrackerState, time_s: float) -> float:
@@ -163,9 +203,13 @@ def _interval(state: TrackerState, time_s: float) -> float:
     return time_s - state.time_s if state.frame else 0.0
 
 
-def _hypotheses(state: TrackerState) -> Targets:
-    """Targets, or the leaves of all their hypotheses."""
-    return state.targets if state.leaves is None else hypotheses.leaf_targets(state.leaves, state.targets)
+def _predict_state(state: TrackerState, motion: Motion) -> Targets:
+    """Predict the targets, or the leaves of all their hypotheses."""
+    targets, leaves = state.targets, state.leaves
+    if leaves is not None:
+        tree = np.searchsorted(targets.id, leaves.targets.id)
+        targets = replace(leaves.targets, frames_since_query=targets.frames_since_query[tree])
+    return predict_targets(targets, motion)
 
 
 def predict_targets(targets: Targets, motion: Motion) -> Targets:

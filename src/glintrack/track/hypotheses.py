@@ -61,18 +61,6 @@ class Leaves:
         return np.cumsum(np.r_[0, np.diff(self.targets.id) != 0][: len(self.targets.id)])
 
 
-def no_leaves(targets: Targets, scans: int) -> Leaves:
-    """Leaves of no target, over so many scans."""
-    window = np.empty((0, scans), np.int64)
-    return Leaves(targets, np.empty(0), window, window, np.empty(0, bool), 0)
-
-
-def leaf_targets(leaves: Leaves, best: Targets) -> Targets:
-    """Targets of all leaves, with the number of frames since each tree's last query."""
-    tree = np.searchsorted(best.id, leaves.targets.id)
-    return replace(leaves.targets, frames_since_query=best.frames_since_query[tree])
-
-
 def advance_trees(
     state, seen, evidence: update.Evidence
 ) -> tuple[Leaves, Int[Array, "tree"], identity.Population]:
@@ -129,12 +117,9 @@ def _branch(
     first = np.searchsorted(tree[keep], trees[:-1])
     new = Leaves(
         targets=replace(targets, score=np.maximum(targets.score + earned[keep], 0.0)),
-        cost=cost[keep] - cost[keep][first][tree[keep]],
-        used=used[keep],
-        lineage=lineage[keep],
-        chosen=chosen[keep],
-        nodes=int(node[keep].max(initial=leaves.nodes)) + 1,
-    )
+        cost=cost[keep] - cost[keep][first][tree[keep]], used=used[keep], lineage=lineage[keep],
+        chosen=chosen[keep], nodes=int(node[keep].max(initial=leaves.nodes)) + 1,
+    )  # fmt: skip
     return new, parent[keep], detection[keep]
 
 
@@ -175,12 +160,10 @@ def select_hypothesis(
     of_tree = csr_array((np.ones(len(rows)), (tree[rows], np.arange(len(rows)))), (trees, len(rows)))
     sizes = np.bincount(tree[rows], minlength=trees) > 0
     found = milp(
-        cost[rows],
-        integrality=np.ones(len(rows)),
-        bounds=Bounds(0, 1),
+        cost[rows], integrality=np.ones(len(rows)), bounds=Bounds(0, 1),
         constraints=[LinearConstraint(of_tree, sizes, sizes), LinearConstraint(uses, ub=1)],
         options={"mip_rel_gap": 0.0},
-    )
+    )  # fmt: skip
     chosen = rows[found.x > 0.5]
     best[tree[chosen]] = chosen
     return best
@@ -208,13 +191,11 @@ def prune(leaves: Leaves, alive: Targets, born: Targets, detection: Int[Array, "
     used[:, 0] = scan * 2**32 + detection
     lineage[:] = (leaves.nodes + np.arange(n))[:, None]
     return Leaves(
-        targets=concatenate(select(leaves.targets, keep), born),
-        cost=np.r_[leaves.cost[keep], np.zeros(n)],
+        targets=concatenate(select(leaves.targets, keep), born), cost=np.r_[leaves.cost[keep], np.zeros(n)],
         used=np.concatenate([leaves.used[keep], used]),
         lineage=np.concatenate([leaves.lineage[keep], lineage]),
-        chosen=np.r_[leaves.chosen[keep], np.ones(n, bool)],
-        nodes=leaves.nodes + n,
-    )
+        chosen=np.r_[leaves.chosen[keep], np.ones(n, bool)], nodes=leaves.nodes + n,
+    )  # fmt: skip
 
 
 def rename_trees(leaves: Leaves, old: Int[Array, "tree"], new: Int[Array, "tree"]) -> Leaves:

@@ -287,9 +287,7 @@ def update_population(
     weight = track_count[known] / (track_count[known] + 1.0)
     own = features[known] - track_mean[known]
     return Population(
-        count=total,
-        mean=population.mean + delta * n / total,
-        scatter=population.scatter + scatter,
+        count=total, mean=population.mean + delta * n / total, scatter=population.scatter + scatter,
         within_count=population.within_count + int(known.sum()),
         within_scatter=population.within_scatter + (own * weight[:, None]).T @ own,
-    )
+    )  # fmt: skip

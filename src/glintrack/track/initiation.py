@@ -286,25 +286,14 @@ def initiate(design, found, spectral, index, next_id, roads=None, apart_from=Non
     mean, covariance = combine_modes(modes)
     known = np.asarray(np.isfinite(spectral[index]).all(axis=1))
     new = Targets(
-        id=np.arange(next_id, next_id + n),
-        mean=mean,
-        covariance=covariance,
-        mode_mean=modes.mean,
-        mode_covariance=modes.covariance,
-        mode_probability=modes.probability,
-        born=mean[:, :2].copy(),
-        score=np.zeros(n),
-        history=np.ones(n, np.int64),
-        age_s=np.zeros(n),
-        unseen_s=np.zeros(n),
-        misses=np.zeros(n, np.int64),
-        confirmed=np.zeros(n, bool),
-        feature=np.where(known[:, None], spectral[index], 0.0),
-        spectra=known.astype(float),
-        frames_since_query=np.zeros(n, np.int64),
-        quality=np.zeros(n),
+        id=np.arange(next_id, next_id + n), mean=mean, covariance=covariance, mode_mean=modes.mean,
+        mode_covariance=modes.covariance, mode_probability=modes.probability, born=mean[:, :2].copy(),
+        score=np.zeros(n), history=np.ones(n, np.int64), age_s=np.zeros(n), unseen_s=np.zeros(n),
+        misses=np.zeros(n, np.int64), confirmed=np.zeros(n, bool),
+        feature=np.where(known[:, None], spectral[index], 0.0), spectra=known.astype(float),
+        frames_since_query=np.zeros(n, np.int64), quality=np.zeros(n),
         trust=np.zeros(n) if ratio is None else ratio,
-    )
+    )  # fmt: skip
     if ratio is None:
         return new
     sure = ratio >= RULES[design.initiation.rules].detection_ratio

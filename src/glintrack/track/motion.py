@@ -85,13 +85,9 @@ def motion_model(design: TrackDesign, interval_s: float) -> Motion:
     noise = design.motion.acceleration_psd_m2_s3 * white
     if design.motion.model == "constant-velocity":
         return Motion(
-            reach=dt * np.eye(2)[None],
-            turn=np.eye(2)[None],
-            noise=noise[None],
-            transition=np.ones((1, 1)),
-            detection=np.array([design.association.detection_probability]),
-            stopped=-1,
-        )
+            reach=dt * np.eye(2)[None], turn=np.eye(2)[None], noise=noise[None], transition=np.ones((1, 1)),
+            detection=np.array([design.association.detection_probability]), stopped=-1,
+        )  # fmt: skip
     arcs = [_arc(TURN_RATE_RAD_S * side, dt) for side in (0.0, 1.0, -1.0)]
     start = START_SPEED_M_S**2
     still = np.diag([STOPPED_DRIFT_M2_S * dt, STOPPED_DRIFT_M2_S * dt, start, start])
@@ -103,12 +99,9 @@ def motion_model(design: TrackDesign, interval_s: float) -> Motion:
     return Motion(
         reach=np.stack([reach for reach, _ in arcs] + [np.zeros((2, 2))]),
         turn=np.stack([turn for _, turn in arcs] + [np.zeros((2, 2))]),
-        noise=np.stack([noise] * 3 + [still]),
-        transition=np.diag(1 - leave) + leave[:, None] * share,
-        detection=np.array(found),
-        stopped=3,
-        stopping2=(STOPPING_SPEED_M_S + BRAKING_M_S2 * dt) ** 2,
-    )
+        noise=np.stack([noise] * 3 + [still]), transition=np.diag(1 - leave) + leave[:, None] * share,
+        detection=np.array(found), stopped=3, stopping2=(STOPPING_SPEED_M_S + BRAKING_M_S2 * dt) ** 2,
+    )  # fmt: skip
 
 
 def _arc(rate_rad_s: float, dt: float) -> tuple[Float[Array, "2 2"], Float[Array, "2 2"]]:

@@ -19,10 +19,9 @@ from glintrack.core.arrays import Array
 from glintrack.core.records import SpectralQuery
 from glintrack.track import assignment, identity, update
 from glintrack.track.design import TrackDesign
-from glintrack.track.frame_detections import FrameDetections, predict_targets
+from glintrack.track.frame_detections import FrameDetections, TrackerState, predict_targets
 from glintrack.track.initiation import Targets, select
 from glintrack.track.motion import mahalanobis_squared, motion_model
-from glintrack.track.state import TrackerState
 
 ColumnOf = Callable[[Float[Array, "point 3"]], Int[Array, "point"]]
 FRAMES_AHEAD = 1.0  # at which a spectrum will be compared with later ones

@@ -20,8 +20,8 @@ from glintrack.core.arrays import Array
 from glintrack.track import existence
 from glintrack.track.calibration import read_calibration
 from glintrack.track.design import TrackDesign
+from glintrack.track.frame_detections import TrackerState
 from glintrack.track.initiation import Targets, find_rows, select
-from glintrack.track.state import TrackerState
 
 MAX_LOG_ODDS = 6.0  # a lost track has its negative
 MAX_BACK_S = 1.5  # maximum extrapolation before the first measurement
@@ -194,15 +194,10 @@ def pending_epoch(before: PendingEpoch | None, state: TrackerState, live: xr.Dat
         old = known & (targets.misses > 0)
         measured_s[old], measured_at[old] = before.measured_s[row[old]], before.measured_at[row[old]]
     return PendingEpoch(
-        time_s=state.time_s,
-        design=design,
-        targets=targets,
-        log_odds=odds.clip(-MAX_LOG_ODDS, MAX_LOG_ODDS),
-        measured_s=measured_s,
-        measured_at=measured_at,
-        known=every.id,
-        live=live,
-    )
+        time_s=state.time_s, design=design, targets=targets,
+        log_odds=odds.clip(-MAX_LOG_ODDS, MAX_LOG_ODDS), measured_s=measured_s, measured_at=measured_at,
+        known=every.id, live=live,
+    )  # fmt: skip
 
 
 def report_candidates(epochs: Sequence[PendingEpoch]) -> ReportCandidates:
@@ -365,12 +360,10 @@ def report_history(
         ]
         if fresh:
             tracks = tracks_to_dataset(
-                time_s,
-                np.array([ident for ident, _ in fresh]),
-                np.array([one.mean for _, one in fresh]),
+                time_s, np.array([ident for ident, _ in fresh]), np.array([one.mean for _, one in fresh]),
                 np.array([one.covariance for _, one in fresh]),
                 np.array([not one.measured for _, one in fresh]),
-            )
+            )  # fmt: skip
             tentative = ("track", np.ones(len(fresh)), {"units": "1"})
             out.append((time_s, tracks.assign(tentative=tentative)))
             reported[time_s] = np.concatenate([others, [one.mean[:2] for _, one in fresh]])

@@ -19,7 +19,7 @@ from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Association, Detections, order
 from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.frame import Frame, Grid
-from glintrack.track.frame_detections import FrameDetections, detect_frame, prepare_detections
+from glintrack.track.frame_detections import FrameDetections, TrackerState, detect_frame, prepare_detections
 from glintrack.track.initiation import (
     concatenate,
     initiate,
@@ -30,7 +30,6 @@ from glintrack.track.initiation import (
 )
 from glintrack.track.queries import ColumnOf, query_predictions
 from glintrack.track.roads import roads_of
-from glintrack.track.state import TrackerState
 
 
 def start(
@@ -64,17 +63,13 @@ def start(
     if design.roads.prior and not roads:
         raise ValueError("`roads` must be given where the design has roads.prior, got none")
     population, targets = identity.empty_population(features), no_targets(design, features)
-    uses_leaves = design.association.method == "mht"
+    window, leaves = np.empty((0, design.association.scans), np.int64), None
+    if design.association.method == "mht":
+        leaves = hypotheses.Leaves(targets, np.empty(0), window, window, np.empty(0, bool), 0)
     return TrackerState(
-        design=design,
-        detector=detector,
-        seed=int(seed),
-        targets=targets,
-        population=population,
-        ground=population,
-        roads=roads_of(roads) if design.roads.prior and roads else None,
-        leaves=hypotheses.no_leaves(targets, design.association.scans) if uses_leaves else None,
-    )
+        design=design, detector=detector, seed=int(seed), targets=targets, population=population,
+        ground=population, roads=roads_of(roads) if design.roads.prior and roads else None, leaves=leaves,
+    )  # fmt: skip
 
 
 def step(
@@ -203,8 +198,9 @@ def _step(
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
     targets = prune(design, targets, grid)
     index = select_unassigned(design, targets, found.position, assigned)
-    features = update.vehicle_features(before, evidence)
-    apart_from = targets if uses_existence else None
+    features, apart_from = spectral.copy(), targets if uses_existence else None
+    if design.identity.outlier_share:  # spectra that more probably show the ground than any vehicle
+        features[evidence.index[evidence.ground > 0]] = np.nan
     born = initiate(design, found, features, index, state.next_id, state.roads, apart_from)
     if leaves is not None:
         leaves = hypotheses.prune(leaves, targets, born, index, state.frame)
@@ -219,18 +215,9 @@ def _step(
         duplicates = existence.update_duplicates(duplicates, targets)
     share = 1 - math.exp(-seen.interval_s / clutter.CLUTTER_S)
     new = replace(
-        state,
-        frame=state.frame + 1,
-        time_s=seen.time_s,
-        interval_s=seen.interval_s,
-        grid=grid,
+        state, frame=state.frame + 1, time_s=seen.time_s, interval_s=seen.interval_s, grid=grid,
         clutter=clutter.update(clutter.map_of(state, grid), grid, found.position, explained, share),
-        targets=targets,
-        next_id=next_id,
-        population=population,
-        ground=before.ground,
-        detections=found,
-        leaves=leaves,
-        duplicates=duplicates,
-    )
+        targets=targets, next_id=next_id, population=population, ground=before.ground, detections=found,
+        leaves=leaves, duplicates=duplicates,
+    )  # fmt: skip
     return new, explained

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from glintrack.core.arrays import Array
 from glintrack.track import assignment, identity
 from glintrack.track.initiation import Targets, update_status
-from glintrack.track.motion import update_modes
+from glintrack.track.motion import position_density, update_modes
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,9 @@ def association_costs(
     pairs, partners = assignment.gate(
         targets.mean, targets.covariance, found.position, found.covariance, design.association.gate
     )
-    cost = np.log(density[partners]) + assignment.negative_log_likelihood(
-        targets.modes, motion.detection, pairs, partners, found.position, found.covariance
-    )
+    normal = position_density(targets.modes, pairs, partners, found.position, found.covariance)
+    detected = ((targets.mode_probability * motion.detection)[pairs] * normal).sum(axis=1)
+    cost = np.log(density[partners]) - np.log(np.maximum(detected, assignment.MIN_DENSITY_M2))
     if found.log_likelihood_ratio is not None:
         cost = cost - found.log_likelihood_ratio[partners]
     if found.velocity is not None and found.velocity_share < 1:
@@ -200,14 +200,6 @@ def update_features(state, targets, evidence, assigned):
     spectra[hit] += share
     feature[hit] += (new - feature[hit]) * (share / spectra[hit])[:, None]
     return feature, spectra, population
-
-
-def vehicle_features(state, evidence: Evidence) -> Float[Array, "detection feature"]:
-    """Spectral features, NaN where they more probably show the ground than any vehicle."""
-    out = evidence.spectral.copy()
-    if state.design.identity.outlier_share:
-        out[evidence.index[evidence.ground > 0]] = np.nan
-    return out
 
 
 def update_ground(state, spectra: Float[Array, "spectrum feature"]) -> identity.Population:

@@ -159,7 +159,7 @@ def test_boxes_stand_in_their_middle_and_are_taken_with_all_they_have():
     np.testing.assert_array_equal(found.position, [[6, 1], [1, 1]])
     assert found.extent[1] == pytest.approx(np.sqrt(4 / np.pi * 4))
     west_first = take(replace(found, log_likelihood_ratio=np.array([1.0, 2.0])), order(found))
-    assert west_first.box[0].tolist() == [0, 0, 2, 2] and west_first.log_likelihood_ratio.tolist() == [2, 1]
+    assert west_first.position[0].tolist() == [1, 1] and west_first.log_likelihood_ratio.tolist() == [2, 1]
     assert len(no_detections()) == 0 and len(of_boxes(np.empty((0, 4)), 1.0)) == 0
 
 

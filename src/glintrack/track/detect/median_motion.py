@@ -220,10 +220,8 @@ def _detections(
         origin_m + per_pixel_m * found.place[:, ::-1],
         np.repeat(sigma2 * np.eye(2)[None], len(found), axis=0),
         np.full(len(found), math.sqrt(4 / math.pi * FOOTPRINT_M[0] * FOOTPRINT_M[1])),
-        np.exp(ratio - DECISION_RATIO),
-        log_likelihood_ratio=ratio,
+        np.exp(ratio - DECISION_RATIO), log_likelihood_ratio=ratio,
         velocity=np.stack([velocity[:, 1], -velocity[:, 0]], axis=-1),
-        velocity_sigma_m_s=math.hypot(1.5, 0.5 * grid.gsd_m / ages[0]),
-        earlier_s=tuple(earlier_s),
+        velocity_sigma_m_s=math.hypot(1.5, 0.5 * grid.gsd_m / ages[0]), earlier_s=tuple(earlier_s),
         earlier=origin_m + per_pixel_m * way[..., ::-1],
-    )
+    )  # fmt: skip

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import maximum_filter
+from scipy.ndimage import binary_dilation, maximum_filter
 
 from glintrack.core.arrays import Array
 from glintrack.track.calibration import read_calibration
@@ -248,18 +248,11 @@ def _window_grid(grid: Grid) -> tuple[tuple[float, float], tuple[int, int]]:
 
 
 def _mask(ground: Ground, position_m: Float[Array, "n 2"]) -> Bool[Array, "coarse_row coarse_column"]:
-    """Coarse cells within `MASK_REACH_M` of places."""
-    rows, columns = ground.differed_s.shape
-    mask = np.zeros((rows, columns), np.bool_)
-    cell = ground.cells_of(position_m)
-    reach = round(MASK_REACH_M / (COARSE * CELL_M))
-    for i in range(-reach, reach + 1):
-        for j in range(-reach, reach + 1):
-            if i * i + j * j <= reach**2 + 1:
-                row, column = cell[:, 0] + i, cell[:, 1] + j
-                inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-                mask[row[inside], column[inside]] = True
-    return mask
+    """Coarse cells within `MASK_REACH_M` of positions."""
+    mask, reach = np.zeros(ground.differed_s.shape, np.bool_), round(MASK_REACH_M / (COARSE * CELL_M))
+    mask[tuple(ground.cells_of(position_m).T)] = True
+    i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    return binary_dilation(mask, i * i + j * j <= reach**2 + 1)
 
 
 def _ground_of_first_frames(ground: Ground, frames: tuple[Frame, ...]) -> Ground:
@@ -274,14 +267,10 @@ def _ground_of_first_frames(ground: Ground, frames: tuple[Frame, ...]) -> Ground
     votes: list[list[tuple[Float[Array, "row column"], ...]]] = [[] for _ in frames]
     cells = []
     empty = replace(
-        ground,
-        maps=tuple(np.zeros_like(one) for one in ground.maps),
+        ground, maps=tuple(np.zeros_like(one) for one in ground.maps),
         scales=tuple(np.full_like(one, SCALE_START) for one in ground.scales),
-        differed_s=np.zeros_like(ground.differed_s),
-        since_s=None,
-        first_s=None,
-        shift_m=(0.0, 0.0),
-    )
+        differed_s=np.zeros_like(ground.differed_s), since_s=None, first_s=None, shift_m=(0.0, 0.0),
+    )  # fmt: skip
     for j, other in enumerate(frames):
         seen = predict(empty, other)
         cells.append(_cells_of_elements(ground, seen))
@@ -289,10 +278,13 @@ def _ground_of_first_frames(ground: Ground, frames: tuple[Frame, ...]) -> Ground
         for i, frame in enumerate(frames):
             if i != j:
                 votes[i].append(predict(alone, frame).z2)
-    shares = [
-        [_confirmation_share(np.stack(of_kind)) for of_kind in zip(*of_frame, strict=True)]
-        for of_frame in votes
-    ]
+    shares: list[list[Float[Array, "row column"]]] = [[] for _ in frames]
+    for of_frame, share in zip(votes, shares, strict=True):
+        for z2 in map(np.stack, zip(*of_frame, strict=True)):
+            known = np.isfinite(z2)
+            agrees = np.where(known, 1 / (1 + np.where(known, z2, 0) / SOFT) ** 2, 0)
+            mean = agrees.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+            share.append(np.where(known.any(axis=0), mean, 1).astype(np.float32))
     best = [np.zeros(ground.differed_s.shape, np.float32) for _ in ground.places]
     for share, cell in zip(shares, cells, strict=True):
         for k, most in enumerate(best):
@@ -306,14 +298,6 @@ def _ground_of_first_frames(ground: Ground, frames: tuple[Frame, ...]) -> Ground
         out = _add_frame(out, frame, predict(out, frame), frame.time_s - before_s, weight)
         before_s = frame.time_s
     return out
-
-
-def _confirmation_share(z2: Float[Array, "other row column"]) -> Float[Array, "row column"]:
-    """Share of the other frames that confirm each reading, from its squared deviations."""
-    known = np.isfinite(z2)
-    agrees = np.where(known, 1 / (1 + np.where(known, z2, 0) / SOFT) ** 2, 0)
-    share = agrees.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    return np.where(known.any(axis=0), share, 1).astype(np.float32)
 
 
 def _cells_of_elements(ground: Ground, seen: ElementPrediction) -> list[Int[Array, "row column"]]:
@@ -353,14 +337,9 @@ def _detections(searched: SearchedMosaic, frame: Frame, displacement_m: tuple[fl
     )
     n = len(likely)
     return Detections(
-        position + (known["height_m"] * slope)[:, None] * unit,
-        covariance.reshape(n, 2, 2),
-        np.full(n, math.sqrt(4 / math.pi * WINDOW_M[0] * WINDOW_M[1])),
-        np.exp(np.clip(ratio, -20, 20)),
-        log_likelihood_ratio=detection_ratio(frame.channel, ratio),
-        displacement_m=displacement_m,
-        velocity=searched.peaks.velocity[likely],
-        velocity_sigma_m_s=SPEED_SIGMA_M_S,
-        velocity_share=RIGHT_SHARE,
-        detail=searched,
-    )
+        position + (known["height_m"] * slope)[:, None] * unit, covariance.reshape(n, 2, 2),
+        np.full(n, math.sqrt(4 / math.pi * WINDOW_M[0] * WINDOW_M[1])), np.exp(np.clip(ratio, -20, 20)),
+        log_likelihood_ratio=detection_ratio(frame.channel, ratio), displacement_m=displacement_m,
+        velocity=searched.peaks.velocity[likely], velocity_sigma_m_s=SPEED_SIGMA_M_S,
+        velocity_share=RIGHT_SHARE, detail=searched,
+    )  # fmt: skip

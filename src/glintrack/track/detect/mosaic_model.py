@@ -116,13 +116,11 @@ def empty_ground(grid: Grid, places: tuple[tuple[int, int], ...], side: int) -> 
     shape = tuple(math.ceil((n * grid.gsd_m + 2 * MARGIN_M) / CELL_M) for n in grid.shape)
     coarse = tuple(math.ceil(n / COARSE) + 1 for n in shape)
     return Ground(
-        places=places,
-        side=side,
-        corner_m=(west + CELL_M / 2, north - CELL_M / 2),
+        places=places, side=side, corner_m=(west + CELL_M / 2, north - CELL_M / 2),
         maps=tuple(np.zeros((*shape, kernels.TERMS), np.float32) for _ in places),
         scales=tuple(np.full(coarse, SCALE_START, np.float32) for _ in places),
         differed_s=np.zeros(coarse, np.float32),
-    )
+    )  # fmt: skip
 
 
 def raw_of(frame: Frame) -> tuple[Mosaic, Camera, Pose]:

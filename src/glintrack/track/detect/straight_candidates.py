@@ -130,15 +130,9 @@ def _find_contrast(
     before[~(fourth >= SEEN_SHARE * now), 2] = np.nan
     velocity = (place - before[:, 1]) / ages_s[1]
     return StraightCandidates(
-        place=place,
-        before=before,
-        velocity=velocity,
-        weakest=weakest,
-        now=now,
-        still=still,
-        fourth=fourth,
+        place=place, before=before, velocity=velocity, weakest=weakest, now=now, still=still, fourth=fourth,
         bright=np.full(len(cell), bright),
-    )
+    )  # fmt: skip
 
 
 def _strongest_cells(
