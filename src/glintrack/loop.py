@@ -116,14 +116,7 @@ def simulate(
             planes = light_on_elements(radiance(sensor.channels).values, sensor)
             measured = read_out(planes, sensor, frame_rngs(case.seed, k).noise)  # for all the same
             true_frame = TrueFrame(
-                sensor=sensor,
-                true_pose=true_pose,
-                reported_pose=reported_pose,
-                motion=motion,
-                hits=hits,
-                light=light,
-                planes=planes,
-                truth=truth,
+                sensor, true_pose, reported_pose, motion, hits=hits, light=light, planes=planes, truth=truth
             )
             turned, pictures = {}, {}
             for channel, loop in loops.items():
@@ -355,16 +348,8 @@ def true_frame_at(
     motion = image_motion(sensor.camera, flight.pose, time_s, 1e-3 * sensor.design.integration_time_ms)
     planes = light_on_elements(smear(lit.light, motion)(sensor.channels).values, sensor)
     reported_pose = navigate(lit.pose, navigation_error)
-    return TrueFrame(
-        sensor=sensor,
-        true_pose=lit.pose,
-        reported_pose=reported_pose,
-        motion=motion,
-        hits=lit.hits,
-        light=lit.light,
-        planes=planes,
-        truth=lit.truth,
-    )
+    seen = {"hits": lit.hits, "light": lit.light, "planes": planes, "truth": lit.truth}
+    return TrueFrame(sensor, lit.pose, reported_pose, motion, **seen)
 
 
 def with_visibility(truth: xr.Dataset, vehicle_id: Array, seen: Array) -> xr.Dataset:

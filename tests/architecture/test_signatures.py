@@ -17,18 +17,8 @@ LIBRARIES = ("np", "math", "xr", "pd", "shapely", "scipy", "rasterio")
 COMPILED = ("njit", "vectorize")
 # "module.name" of a function or a class that is made, or a class's name: still to be mended; empty it
 OPEN = {
-    "case.build.FrameView",
     "render.rays.bvh._instances",
     "render.rays.bvh._mesh_tree",
-    "track.association.hypotheses.Branches",
-    "track.files.surroundings",
-    "track.frame_detections.FrameDetections",
-    "track.identity.features.Population",
-    "track.initiation.Targets",
-    "track.motion.Motion",
-    "track.motion.Scan",
-    "track.motion.Step",
-    "track.tracker.TrackerState",
 }
 
 

@@ -227,3 +227,8 @@ def test_arguments_are_not_changed():
     predict_modes(start, straight(1.0, 1.0), NEVER)
     hit_each(start, straight(1.0, 1.0), np.zeros((1, 2)), np.eye(2)[None])
     assert (start.mean == 1).all() and (start.covariance == np.eye(4)).all()
+
+
+def test_vehicles_drive_straight_for_the_mean_time_of_the_design():
+    motion = motion_model(plain_tracker().replace({"motion.model": "imm", "motion.straight_s": 20.0}), 0.5)
+    assert motion.transition[0, 0] == pytest.approx(np.exp(-0.5 / 20.0))

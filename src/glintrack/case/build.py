@@ -135,7 +135,7 @@ def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | 
     grid = _ground_grid(case, scenario, pose, gsd_m or case.ortho.gsd_m) if ortho else None
     observer = scenario.observer
     light = FrameRadiance(observer.trace(snapshot, pose), observer.sky, city.materials)
-    return FrameView(observer, pose, light, frame, time_s, case.sensor.band_um, grid)
+    return FrameView(observer, pose, light, frame, time_s, band_um=case.sensor.band_um, grid=grid)
 
 
 def _check_above_ground(pose: Pose, terrain: xr.Dataset) -> None:

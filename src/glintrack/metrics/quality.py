@@ -139,7 +139,7 @@ def ssim(image: Float[Array, "y x"], truth: Float[Array, "y x"], peak: float | N
     index = (2 * mx * my + c1) * (2 * cov + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2))
     reach = int(_SSIM_REACH * _SSIM_SIGMA_PX + 0.5)
     # the border has no data
-    inside = minimum_filter(both, 2 * reach + 1, mode="constant", cval=False)
+    inside = np.asarray(minimum_filter(both, 2 * reach + 1, mode="constant", cval=False), bool)
     return float(index[inside].mean()) if inside.any() else float("nan")
 
 

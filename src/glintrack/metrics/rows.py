@@ -61,7 +61,7 @@ def score_rows(
     of_tracks = _split(_epoch_of(tracks, epochs), len(epochs))
     (vehicles, vehicle_m), (found, track_m) = _objects(truth, "vehicle_id"), _objects(tracks, "track_id")
     vehicle_inside, track_inside = (
-        ((place_m >= area[:2]) & (place_m <= area[2:])).all(axis=1) for place_m in (vehicle_m, track_m)
+        np.all((place_m >= area[:2]) & (place_m <= area[2:]), axis=1) for place_m in (vehicle_m, track_m)
     )
     alike, distances = [], []
     for track_rows, vehicle_rows in zip(of_tracks, of_vehicles, strict=True):

@@ -157,11 +157,11 @@ def select_hypothesis(
     rows, index = np.flatnonzero(open_), np.cumsum(open_) - 1
     inside = open_[row]
     uses = csr_array((np.ones(inside.sum()), (item[inside], index[row[inside]])), (len(code), len(rows)))
-    of_tree = csr_array((np.ones(len(rows)), (tree[rows], np.arange(len(rows)))), (trees, len(rows)))
-    sizes = np.bincount(tree[rows], minlength=trees) > 0
+    group = np.unique(tree[rows], return_inverse=True)[1]
+    of_tree = csr_array((np.ones(len(rows)), (group, np.arange(len(rows)))))
     found = milp(
         cost[rows], integrality=np.ones(len(rows)), bounds=Bounds(0, 1),
-        constraints=[LinearConstraint(of_tree, sizes, sizes), LinearConstraint(uses, ub=1)],
+        constraints=[LinearConstraint(of_tree, 1, 1), LinearConstraint(uses, ub=1)],
         options={"mip_rel_gap": 0.0},
     )  # fmt: skip
     chosen = rows[found.x > 0.5]

@@ -43,7 +43,7 @@ class Population:
 
 
 def empty_population(size: int) -> Population:
-    """Population without a spectrum."""
+    """Return a population without a spectrum."""
     return Population(0.0, np.zeros(size), np.zeros((size, size)), 0.0, np.zeros((size, size)))
 
 

@@ -275,12 +275,11 @@ def select_unassigned(
 def initiate(design, found, spectral, index, next_id, roads=None, apart_from=None) -> Targets:
     """Start a target for each of the detections at an index; confirm it only if apart from other targets."""
     n, place, ratio = len(index), found.position[index], found.log_likelihood_ratio
-    follows = found.velocity is not None and found.velocity_share == 1
-    sigma_m_s = found.velocity_sigma_m_s if follows else SPEED_SIGMA_M_S
+    velocity = None if found.velocity is None or found.velocity_share < 1 else found.velocity[index]
+    sigma_m_s = SPEED_SIGMA_M_S if velocity is None else found.velocity_sigma_m_s
     speed = np.repeat(sigma_m_s**2 * np.eye(2)[None], n, axis=0)
-    if roads is not None and not follows:
+    if roads is not None and velocity is None:
         speed = roads.speed_covariance(place, SPEED_SIGMA_M_S)
-    velocity = found.velocity[index] if follows else None
     ratio = None if ratio is None else ratio[index]
     modes = initial_modes(place, found.covariance[index], speed, design.motion.modes, velocity)
     mean, covariance = combine_modes(modes)

@@ -144,7 +144,7 @@ def _plan_with_ground(
 def prediction_gain(
     targets: Targets, detected: Float[Array, "target"], population: identity.Population, design: TrackDesign
 ) -> Float[Array, "target"]:
-    """Expected reduction of association entropy by a spectrum of each target in the next frame. [nat]
+    """Predict how far a spectrum of each target in the next frame reduces the association entropy. [nat]
 
     The spectrum is useful if the target exists, is detected and is at the queried position. Two tracks that
     compete for detections are separated by their positions and by their spectra (`association_risk`). The
@@ -338,7 +338,7 @@ def detection_gain(
     share: Float[Array, "pair"],
     count: int,
 ) -> Float[Array, "detection"]:
-    """Expected reduction of entropy by a spectrum of each detection, now and later. [nat]
+    """Predict how far a spectrum of each detection reduces the entropy, now and later. [nat]
 
     The owner of a detection has the probabilities of the association, times the probability that its target
     exists; the rest is a new vehicle or clutter. *Now* is the mutual information of owner and spectrum, which

@@ -80,7 +80,7 @@ def _solve(sums: Float[Array, "*n 5"], ridge: float) -> tuple[Float[Array, "*n 2
 def _normal_equations(
     image: Array, background: Array, clip: float, shape: tuple[int, ...]
 ) -> Float[Array, "row column 5"]:
-    """Normal equations of a shift in each tile: sums of three squared slopes and two slopes by difference."""
+    """Compute the normal equations of a shift in each tile: sums of products of slopes and differences."""
     sums = np.zeros((*shape, 5))
     over_rows(_tile_sums, shape[0], image, background, np.float32(clip), sums)
     return sums
