@@ -141,7 +141,7 @@ def _finished_rows(table: pd.DataFrame) -> pd.DataFrame:
 
 def check_points(
     table: pd.DataFrame, source: Mapping[str, Any], requirement: Requirement
-) -> tuple[str, list[tuple[str, Judged]]]:
+) -> tuple[str, list[tuple[str, Assessment]]]:
     """Channel of a requirement, and its check at each point of the design.
 
     Raises

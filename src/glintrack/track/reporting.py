@@ -253,7 +253,7 @@ def _present_tracks(epochs: Sequence[PendingEpoch]) -> ReportCandidates:
 def _first_measurements(
     targets: Targets, later: Sequence[PendingEpoch]
 ) -> tuple[Float[Array, "target"], Float[Array, "target"], Float[Array, "target 2"]]:
-    """Count the measurements of each target in later epochs; with time and position of the first. [1, s, m]"""
+    """Count the measurements of each target later, with time and position of the first. [1, s, m]"""
     hits, first_s = np.zeros(len(targets)), np.full(len(targets), np.nan)
     first_at = targets.position.copy()
     for one in later:
