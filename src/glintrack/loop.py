@@ -1,13 +1,14 @@
-"""The loop of Figure 1: fly one design over a city, track what moves, ask the sensor for spectra, score it.
+"""The loop of Figure 1: render, expose, rectify, detect, track, and query the sensor for spectra.
 
-The one feedback edge is a value: what the tracker asks of a frame, the sensor serves in the next, or by a
-second exposure before the tracker says whose its detections are (`track.query.at`).
+`simulate` is that figure in one function, `_process_frame` one frame of it. Trackers influence the sensor by
+their queries alone: those of one frame are served in the next, or by a second exposure of the same frame
+(`track.query.at`).
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -18,7 +19,7 @@ from glintrack.case.build import Scenario, build_scenario
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import prefetch
-from glintrack.core.records import Radiance, Rows, ServedQueries, SpectralQuery
+from glintrack.core.records import Mosaic, Radiance, Rows, ServedQueries, SpectralQuery
 from glintrack.ortho import on_ground, orthorectify, register
 from glintrack.render import FrameCache, Hits, LightCache, keep_frames
 from glintrack.results.collect import Loop, Stopwatch, collect, rows_of
@@ -43,15 +44,7 @@ from glintrack.sensor import (
     with_exposure,
 )
 
-Pictured = Callable[[str, int, xr.Dataset, City], None]
-
-
-class Rectify(Protocol):
-    """`orthorectify` with all that stays the same over a flight."""
-
-    def __call__(self, frame: xr.Dataset, *, reported_pose: Pose) -> xr.Dataset:
-        """The ground image of one frame."""
-        ...
+ImageCallback = Callable[[str, int, xr.Dataset, City], None]
 
 
 def simulate(
@@ -60,125 +53,111 @@ def simulate(
     hits_cache: FrameCache | None = None,
     trackers: Mapping[str, track.TrackDesign] | None = None,
     detectors: Mapping[str, track.Detector] | None = None,
-    pictured: Pictured | None = None,
+    on_image: ImageCallback | None = None,
 ) -> xr.DataTree:
-    """Fly one design over the scene and score the tracker (the paper's Fig. 1).
+    """Simulate a case and score its trackers (the paper's Fig. 1).
 
     Parameters
     ----------
     case
-        The whole design. Each channel it names (pan, DoLP) closes its own loop over the same light.
+        The design. All tracking channels that it names use the same rendered frames.
     callback
-        Called after every turn of a loop.
+        Called after each frame and channel.
     hits_cache
-        Asked for each traced frame by its time, with a function that traces it; by default that is called.
-        If it is a `render.LightCache`, for the light in the sensor's channels too.
-        Filters, tracker and reported pose have no part in it, so that a trade study may keep it.
+        Source of traced frames by their time; by default they are traced. A `render.LightCache` also stores
+        the radiance in the sensor's channels. Filters, tracker and reported pose do not change the hits, so
+        a trade study may share them.
     trackers
-        Designs that fly over the same light, by name, each with its own loop; by default the case's own, one
-        for each of its channels and named after it.
+        Designs of trackers by name, one channel each; by default the case's own, named after its channels.
     detectors
-        Detectors of those trackers, by the same names, in the place of those that the designs name.
-    pictured
-        Called with each rectified frame before it is tracked: its loop, index, schema ``image``, and city.
+        Detectors by the same names, instead of those that the designs name.
+    on_image
+        Called with each rectified frame before it is tracked: channel, index, schema ``image``, and city.
 
     Returns
     -------
     ``/pan`` and ``/dolp`` (or the names given) with completeness, false tracks and counts over ``time`` and
     the aggregate scores as attributes; ``/pan/tracks`` and so on with one row per reported track and frame;
     ``/truth`` likewise.
-    An interrupt (Ctrl-C) ends the flight early and keeps the frames done.
+    An interrupt (Ctrl-C) ends the simulation early and keeps the frames done.
     """
-    clock = Stopwatch()
+    clock, render_clock = Stopwatch(), Stopwatch()
     scenario = build_scenario(case)
-    city, flight, sensor, observer = scenario.city, scenario.flight, scenario.sensor, scenario.observer
-    surface = observer.surface_model(case.ortho.gsd_m) if case.ortho.surface == "surface" else None
-    rectify = _rectify(case, city, sensor, surface)
-    serve_spectra = partial(_serve_spectra, case.seed, city, sensor)
+    city, observer, sensor = scenario.city, scenario.observer, scenario.sensor
+    times_s = scenario.flight.times_s
     if hits_cache is None:
-        observer.prepare()  # a flight over kept hits may never trace
-    errors = case_navigation_errors(case, flight.times_s)
-    judge = partial(_judge, sensor, rectify) if case.output.quality else None
-    roads = city.lanes if case.track.roads.prior else ()  # a map, no truth: where cars may drive
-    loops = _loops(case, trackers, detectors or {}, roads)
-    ground = {"terrain": city.terrain, "surface": surface, "lanes": roads}
+        observer.prepare()  # with a cache nothing may have to be traced
+    surface = observer.surface_model(case.ortho.gsd_m) if case.ortho.surface == "surface" else None
+    lanes = city.lanes if case.track.roads.prior else ()  # from a map, not from the truth
+    rectify = partial(
+        orthorectify,
+        camera=sensor.camera,
+        terrain=city.terrain,
+        gsd_m=case.ortho.gsd_m,
+        area_m=city.extent_m,
+        method=case.ortho.method,
+        surface=surface,
+    )
+    ground = {"terrain": city.terrain, "surface": surface, "lanes": lanes}
+    run = _Run(scenario, rectify, ground, callback, on_image, clock)
+    loops = _start_trackers(run, trackers, detectors or {})
+    errors = case_navigation_errors(case, times_s)
     truths, exposures_ms, interrupted = Rows(), list[float](), False
-    beside = Stopwatch()
-    coming = prefetch(partial(_lit_frame, scenario, hits_cache, beside), flight.times_s)
+    frames = prefetch(partial(_render, scenario, hits_cache, render_clock), times_s)
     clock.lap("build")
     try:
-        for k, lit in enumerate(coming):
-            t, true_pose, hits, truth, light = lit.time_s, lit.pose, lit.hits, lit.truth, lit.light
+        for index, rendered in enumerate(frames):
             clock.lap("light")
-            reported_pose = navigate(true_pose, errors[k])
-            motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * sensor.design.integration_time_ms)
-            radiance = keep_frames(smear(light, motion))
-            planes = light_on_elements(radiance(sensor.channels).values, sensor)
-            measured = read_out(planes, sensor, frame_rngs(case.seed, k).noise)  # for all the same
-            true_frame = TrueFrame(
-                sensor, true_pose, reported_pose, motion, hits=hits, light=light, planes=planes, truth=truth
-            )
-            turned, pictures = {}, {}
-            for channel, loop in loops.items():
-                answer = partial(serve_spectra, k, radiance, reported_pose)
-                if loop.queries not in pictures:  # of the frame before; who asks the same sees the same
-                    served, spectra = answer(loop.queries)  # by mirrors that are dark in pan
-                    frame = frame_of(measured, sensor, served, t)
-                    frame = fill_dark_mirrors(frame, served, spectra, sensor)
-                    clock.lap("sensor")
-                    picture = rectify(frame, reported_pose=reported_pose)
-                    pictures[loop.queries] = picture, mosaic_of(measured, sensor, served), served, spectra
-                    clock.lap("rectify")
-                image, mosaic, served, spectra = pictures[loop.queries]
-                image = _registered(case, image, loop.reference)
-                clock.lap("rectify")
-                _show(pictured, clock, channel, k, image, city)
-                column_of = partial(_column_of, sensor, city.terrain, reported_pose)
-                frame = track.Frame(t, image, mosaic, sensor.camera, reported_pose, **ground)
-                seen = track.detect_frame(loop.state, frame)
-                ambiguous = track.query_detections(loop.state, seen, column_of)
-                clock.lap("track")
-                if ambiguous:  # a second exposure, of this frame's detections
-                    served, spectra = answer(ambiguous)
-                    clock.lap("sensor")
-                state, queries = track.step(loop.state, seen, spectra, column_of)  # the feedback edge
-                tracks = track.report(state)  # without a lag; `Loop.advance` may report them later
-                clock.lap("track")
-                score = metrics.score_epoch(tracks, truth, city.extent_m, time_s=t)
-                clock.lap("score")
-                quality = judge(light, image, spectra, served, true_pose, reported_pose) if judge else None
-                clock.lap("quality")
-                known = truth, city.extent_m
-                turned[channel] = loop.advance(state, queries, tracks, score, known, served, image, quality)
-                loops[channel] = replace(loop, state=state)  # an interrupt wants the record before it alone
-                if callback is not None:
-                    turn = (image, served, tracks, score, spectra, state.detections)
-                    callback(Epoch(k, t, channel, observer, true_frame, *turn))
-                    clock.lap("callback")
-                del seen, answer  # large
-            kept = truths.append(rows_of(truth, "vehicle", t))
-            loops, truths, exposures_ms = turned, kept, [*exposures_ms, sensor.design.integration_time_ms]
-            sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))  # known before the next frame
-            del lit, hits, light, radiance, true_frame, pictures  # not held while the next frame is awaited
+            exposure_ms = sensor.design.integration_time_ms
+            loops, sensor = _process_frame(run, index, rendered, errors[index], sensor, loops)
+            truths = truths.append(rows_of(rendered.truth, "vehicle", rendered.time_s))
+            exposures_ms.append(exposure_ms)
             clock.lap("score")
     except KeyboardInterrupt:
         interrupted = True
     finally:
-        coming.close()
-    took = clock.seconds, beside.seconds
-    return collect(case.name, case.seed, flight.times_s, loops, truths, exposures_ms, *took, interrupted)
+        frames.close()
+    seconds = clock.seconds, render_clock.seconds
+    return collect(case.name, case.seed, times_s, loops, truths, exposures_ms, *seconds, interrupted)
 
 
 @dataclass(frozen=True)
-class LitFrame:
-    """A frame before any loop: nothing in it depends on what a tracker asks, so that it may be made ahead.
+class _Run:
+    """Parts of a simulation that do not change from frame to frame; see `simulate`."""
+
+    scenario: Scenario
+    rectify: Callable[..., xr.Dataset]
+    ground: Mapping[str, Any]
+    callback: Callable[[Epoch], None] | None
+    on_image: ImageCallback | None
+    clock: Stopwatch
+
+
+def _start_trackers(
+    run: _Run, trackers: Mapping[str, track.TrackDesign] | None, detectors: Mapping[str, track.Detector]
+) -> dict[str, Loop]:
+    """Start a tracker for each design, or for each channel of the case."""
+    case = run.scenario.case
+    if trackers is None:
+        trackers = {channel: case.track.replace({"detect.channel": channel}) for channel in case.channels}
+    if unknown := sorted(set(detectors) - set(trackers)):
+        raise ValueError(f"`detectors` must name channels ({', '.join(trackers)}), got {unknown[0]!r}")
+    return {
+        name: Loop(track.start(design, case.seed, run.ground["lanes"], detectors.get(name)))
+        for name, design in trackers.items()
+    }
+
+
+@dataclass(frozen=True)
+class RenderedFrame:
+    """A frame at the lens. It does not depend on the trackers, so it is rendered ahead.
 
     Parameters
     ----------
     time_s, pose
-        When, and the true pose. [s]
+        Time and true pose. [s]
     hits, truth, light
-        As of `results.epoch.TrueFrame`.
+        As in `results.epoch.TrueFrame`.
     """
 
     time_s: float
@@ -188,60 +167,157 @@ class LitFrame:
     light: Radiance
 
 
-def _lit_frame(
-    scenario: Scenario,
-    hits_cache: FrameCache | None,
-    clock: Stopwatch,
-    time_s: float,
-) -> LitFrame:
-    """Trace and shade the frame of one time for the sensor's channels."""
+def _render(
+    scenario: Scenario, hits_cache: FrameCache | None, clock: Stopwatch, time_s: float
+) -> RenderedFrame:
+    """Trace the frame of one time, and shade it for the sensor's channels."""
     clock.start()
-    city, observer = scenario.city, scenario.observer
-    pose, now = scenario.flight.pose(time_s), city.at(time_s)
+    city, observer, channels = scenario.city, scenario.observer, scenario.sensor.channels
+    pose, snapshot = scenario.flight.pose(time_s), city.at(time_s)
     clock.lap("scene")
-    observe = partial(observer.observe, now, pose)
+    observe = partial(observer.observe, snapshot, pose)
     traced = observe() if hits_cache is None else hits_cache.get(time_s, observe)
     clock.lap("trace")
-    truth = with_visibility(city.truth(time_s), now.vehicle_id[now.fixed :], traced.seen)
+    truth = with_visibility(city.truth(time_s), snapshot.vehicle_id[snapshot.fixed :], traced.seen)
     clock.lap("truth")
     light = keep_frames(observer.radiance(traced.hits))
-    channels = scenario.sensor.channels
-    if isinstance(hits_cache, LightCache):  # of what else is asked for nothing is kept
-        known = hits_cache.light(time_s, observer, channels, partial(light, channels))
-        light = keep_frames(light, lambda asked, shade: known if np.array_equal(asked, channels) else shade())
+    if isinstance(hits_cache, LightCache):  # of the sensor's channels alone
+        stored = hits_cache.light(time_s, observer, channels, partial(light, channels))
+        light = keep_frames(
+            light, lambda wanted, shade: stored if np.array_equal(wanted, channels) else shade()
+        )
     light(channels)
     clock.lap("shade")
-    return LitFrame(time_s, pose, traced.hits, truth, light)
+    return RenderedFrame(time_s, pose, traced.hits, truth, light)
 
 
-def _show(pictured: Pictured | None, clock: Stopwatch, *frame: Any) -> None:
-    """Hand out a rectified frame, if somebody wants it."""
-    if pictured is not None:
-        pictured(*frame)
-        clock.lap("callback")
+def _expose(
+    scenario: Scenario, rendered: RenderedFrame, sensor: Sensor, navigation_error: Array
+) -> TrueFrame:
+    """Move the rendered light over the elements during the exposure, and report the pose with its error."""
+    exposure_s = 1e-3 * sensor.design.integration_time_ms
+    motion = image_motion(sensor.camera, scenario.flight.pose, rendered.time_s, exposure_s)
+    light = smear(rendered.light, motion)(sensor.channels)
+    return TrueFrame(
+        sensor=sensor,
+        true_pose=rendered.pose,
+        reported_pose=navigate(rendered.pose, navigation_error),
+        motion=motion,
+        hits=rendered.hits,
+        light=rendered.light,
+        planes=light_on_elements(light.values, sensor),
+        truth=rendered.truth,
+    )
 
 
-def _loops(
-    case: Case,
-    trackers: Mapping[str, track.TrackDesign] | None,
-    detectors: Mapping[str, track.Detector],
-    roads,
-) -> dict[str, Loop]:
-    """One loop a tracker, or a channel of the case, with its own detector if one was handed in."""
-    if trackers is None:
-        trackers = {m: case.track.replace({"detect.channel": m}) for m in case.channels}
-    if unknown := sorted(set(detectors) - set(trackers)):
-        loops = ", ".join(trackers)
-        raise ValueError(f"`detectors` must name loops of the flight ({loops}), got {unknown[0]!r}")
-    return {
-        name: Loop(track.start(design, case.seed, roads, detectors.get(name)))
-        for name, design in trackers.items()
-    }
+class _Image(NamedTuple):
+    """A rectified frame, its mosaic, and the queries that were served with it."""
+
+    image: xr.Dataset
+    mosaic: Mosaic
+    served: ServedQueries
+    spectra: xr.Dataset
 
 
-@dataclass(frozen=True)
-class FrameRngs:
-    """One generator a stage, spawned by (case, frame): a frame can be redone alone."""
+def _process_frame(
+    run: _Run,
+    index: int,
+    rendered: RenderedFrame,
+    navigation_error: Array,
+    sensor: Sensor,
+    loops: Mapping[str, Loop],
+) -> tuple[dict[str, Loop], Sensor]:
+    """Expose one frame, and advance the tracker of each channel by it.
+
+    Returns
+    -------
+    The channels after the frame, and the sensor with the exposure time of the next one.
+    """
+    case, city, observer = run.scenario.case, run.scenario.city, run.scenario.observer
+    clock, time_s = run.clock, rendered.time_s
+    true_frame = _expose(run.scenario, rendered, sensor, navigation_error)
+    pose, truth = true_frame.reported_pose, true_frame.truth
+    readout = read_out(true_frame.planes, sensor, frame_rngs(case.seed, index).noise)  # of all channels
+    answer = partial(_answer_queries, run.scenario, index, true_frame)
+
+    def columns(enu: Array) -> Array:  # of superpixels that see points of the ground, −1 off the array
+        return sensor.superpixel_of(on_ground(city.terrain, enu), pose)[:, 1]
+
+    def form_image(queries: tuple[SpectralQuery, ...]) -> _Image:
+        served, spectra = answer(queries)  # by mirrors that are dark in pan
+        frame = fill_dark_mirrors(frame_of(readout, sensor, served, time_s), served, spectra, sensor)
+        clock.lap("sensor")
+        image, mosaic = run.rectify(frame, reported_pose=pose), mosaic_of(readout, sensor, served)
+        clock.lap("rectify")
+        return _Image(image, mosaic, served, spectra)
+
+    images: dict[tuple[SpectralQuery, ...], _Image] = {}  # channels with the same queries share an image
+    advanced: dict[str, Loop] = {}
+    for channel, loop in loops.items():
+        if loop.queries not in images:
+            images[loop.queries] = form_image(loop.queries)
+        image, mosaic, served, spectra = images[loop.queries]
+        if case.ortho.registration != "none" and loop.reference is not None:
+            image = register(image, loop.reference)
+        clock.lap("rectify")
+        if run.on_image is not None:
+            run.on_image(channel, index, image, city)
+            clock.lap("callback")
+        frame = track.Frame(time_s, image, mosaic, sensor.camera, pose, **run.ground)
+        detections = track.detect_frame(loop.state, frame)
+        ambiguous = track.query_detections(loop.state, detections, columns)
+        clock.lap("track")
+        if ambiguous:  # a second exposure, for this frame's detections
+            served, spectra = answer(ambiguous)
+            clock.lap("sensor")
+        state, queries = track.step(loop.state, detections, spectra, columns)  # the only feedback
+        tracks = track.report(state)  # without a lag; `Loop.advance` may report them later
+        clock.lap("track")
+        score = metrics.score_epoch(tracks, truth, city.extent_m, time_s=time_s)
+        clock.lap("score")
+        quality = _assess_quality(run, true_frame, image, served, spectra) if case.output.quality else None
+        clock.lap("quality")
+        known = truth, city.extent_m
+        advanced[channel] = loop.advance(state, queries, tracks, score, known, served, image, quality)
+        if run.callback is not None:
+            outputs = {"image": image, "served": served, "spectra": spectra, "tracks": tracks, "score": score}
+            run.callback(
+                Epoch(index, time_s, channel, observer, true_frame, detections=state.detections, **outputs)
+            )
+            clock.lap("callback")
+    return advanced, with_exposure(sensor, next_exposure_ms(sensor, readout))
+
+
+def _answer_queries(
+    scenario: Scenario, index: int, true_frame: TrueFrame, queries: tuple[SpectralQuery, ...]
+) -> tuple[ServedQueries, xr.Dataset]:
+    """Serve queries with mirrors, one in each column, and measure their spectra.
+
+    Queries have no height: the tracker works on the map. At 50° off nadir, one metre of height displaces a
+    point by one metre.
+    """
+    sensor, terrain = true_frame.sensor, scenario.city.terrain
+    if queries:
+        up_m = on_ground(terrain, np.array([[q.east_m, q.north_m] for q in queries]))[:, 2]
+        queries = tuple(replace(q, up_m=float(u)) for q, u in zip(queries, up_m, strict=True))
+    served = serve(queries, sensor, true_frame.reported_pose)
+    rng = frame_rngs(scenario.case.seed, index).spectra
+    return served, measure_spectra(served, smear(true_frame.light, true_frame.motion), sensor, rng)
+
+
+def _assess_quality(
+    run: _Run, true_frame: TrueFrame, image: xr.Dataset, served: ServedQueries, spectra: xr.Dataset
+) -> dict[str, float]:
+    """Compare a frame with the noiseless one at the true pose."""
+    sensor, light, true_pose = true_frame.sensor, true_frame.light, true_frame.true_pose
+    truth = run.rectify(noiseless_frame(light, sensor), reported_pose=true_pose)
+    true_spectra = noiseless_spectra(served, light, sensor)
+    poses = true_pose, true_frame.reported_pose
+    return metrics.frame_quality(image, truth, sensor.camera, *poses, spectra, true_spectra)
+
+
+class FrameRngs(NamedTuple):
+    """Random generators of one frame, one for each stage: a frame can be repeated alone."""
 
     navigation: np.random.Generator
     noise: np.random.Generator
@@ -249,33 +325,9 @@ class FrameRngs:
 
 
 def frame_rngs(seed: int, frame: int) -> FrameRngs:
-    """Generators of one frame; the same whatever was simulated before it."""
+    """Spawn the random generators of one frame; they do not depend on other frames."""
     children = np.random.SeedSequence(entropy=seed, spawn_key=(frame,)).spawn(3)
     return FrameRngs(*(np.random.default_rng(child) for child in children))
-
-
-def _registered(case: Case, image: xr.Dataset, reference: xr.Dataset | None) -> xr.Dataset:
-    """The frame moved onto the loop's first one, if the case asks for it."""
-    if case.ortho.registration == "none" or reference is None:
-        return image
-    return register(image, reference)
-
-
-def _judge(
-    sensor: Sensor,
-    rectify: Rectify,
-    light: Radiance,
-    image: xr.Dataset,
-    spectra: xr.Dataset,
-    served: ServedQueries,
-    true_pose: Pose,
-    reported_pose: Pose,
-) -> dict[str, float]:
-    """One frame against the light itself, seen without noise and placed by the true pose."""
-    truth = rectify(noiseless_frame(light, sensor), reported_pose=true_pose)
-    true_spectra = noiseless_spectra(served, light, sensor)
-    camera = sensor.camera
-    return metrics.frame_quality(image, truth, camera, true_pose, reported_pose, spectra, true_spectra)
 
 
 def case_navigation_errors(case: Case, times_s: Array) -> Array:
@@ -284,76 +336,28 @@ def case_navigation_errors(case: Case, times_s: Array) -> Array:
     return navigation_errors(case.navigation, times_s, rngs)
 
 
-def _rectify(case: Case, city: City, sensor: Sensor, surface: xr.Dataset | None) -> Rectify:
-    """`orthorectify` with all that stays the same over a flight."""
-    return partial(
-        orthorectify,
-        camera=sensor.camera,
-        terrain=city.terrain,
-        gsd_m=case.ortho.gsd_m,
-        area_m=city.extent_m,
-        method=case.ortho.method,
-        surface=surface,
-    )
-
-
-def _column_of(sensor: Sensor, terrain: xr.Dataset, pose: Pose, enu: Array) -> Array:
-    """Superpixel column that sees each point of the ground, −1 off the array."""
-    return sensor.superpixel_of(on_ground(terrain, enu), pose)[:, 1]
-
-
-def _serve_spectra(
-    seed: int,
-    city: City,
-    sensor: Sensor,
-    frame: int,
-    radiance: Radiance,
-    reported_pose: Pose,
-    queries: tuple[SpectralQuery, ...],
-) -> tuple[ServedQueries, xr.Dataset]:
-    """Mirrors for the tracker's queries, one a column, and what they bring back.
-
-    The tracker asks by the map, without heights.
-    """
-    served = serve(_raised(queries, city.terrain), sensor, reported_pose)
-    return served, measure_spectra(served, radiance, sensor, frame_rngs(seed, frame).spectra)
-
-
-def _raised(queries: tuple[SpectralQuery, ...], terrain: xr.Dataset) -> tuple[SpectralQuery, ...]:
-    """The same queries at the ground's height: on a hill 50° off nadir a metre of height is one of place."""
-    if not queries:
-        return ()
-    up_m = on_ground(terrain, np.array([[q.east_m, q.north_m] for q in queries]))[:, 2]
-    return tuple(replace(q, up_m=float(u)) for q, u in zip(queries, up_m, strict=True))
-
-
 def true_frame_at(
     scenario: Scenario, time_s: float, navigation_error: Array, hits_cache: FrameCache | None = None
 ) -> TrueFrame:
-    """The frame before all loops at a time, flown by itself: what bounds and labelled sets begin with.
+    """Frame at one time before any tracker, for bounds and labelled sets.
 
     Parameters
     ----------
     scenario
         From `build_scenario`.
     time_s
-        Of the flight. [s]
+        Time of the frame. [s]
     navigation_error
         A row of `case_navigation_errors`.
     hits_cache
-        As of `simulate`.
+        As for `simulate`.
     """
-    sensor, flight = scenario.sensor, scenario.flight
-    lit = _lit_frame(scenario, hits_cache, Stopwatch(), time_s)
-    motion = image_motion(sensor.camera, flight.pose, time_s, 1e-3 * sensor.design.integration_time_ms)
-    planes = light_on_elements(smear(lit.light, motion)(sensor.channels).values, sensor)
-    reported_pose = navigate(lit.pose, navigation_error)
-    seen = {"hits": lit.hits, "light": lit.light, "planes": planes, "truth": lit.truth}
-    return TrueFrame(sensor, lit.pose, reported_pose, motion, **seen)
+    rendered = _render(scenario, hits_cache, Stopwatch(), time_s)
+    return _expose(scenario, rendered, scenario.sensor, navigation_error)
 
 
 def with_visibility(truth: xr.Dataset, vehicle_id: Array, seen: Array) -> xr.Dataset:
-    """The truth with each vehicle's visible fraction; 0 for one that the snapshot left out."""
+    """Add the visible fraction of each vehicle to the truth; 0 for vehicles outside the snapshot."""
     fraction = dict(zip(np.asarray(vehicle_id).tolist(), seen.tolist(), strict=True))
     values = np.array([fraction.get(int(v), 0.0) for v in truth["vehicle"].values])
     return truth.assign(visible_fraction=("vehicle", values, {"units": "1"}))

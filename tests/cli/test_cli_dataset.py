@@ -46,10 +46,10 @@ def run(monkeypatch, capsys, tmp_path):
 
 def test_a_set_is_built_and_found_again(run, three_cars, tmp_path):
     code, said, _ = run("three.toml", "-o", "set")
-    assert code == 0 and "1 cases (1 train), 2 frames" in said and "2 frames flown" in said
+    assert code == 0 and "1 cases (1 train), 2 frames" in said and "2 frames simulated" in said
     assert (tmp_path / "set" / "coco" / "train.json").is_file()
     code, said, _ = run("build", "three.toml", "-o", "set")
-    assert code == 0 and "0 frames flown" in said and "2 there already" in said
+    assert code == 0 and "0 frames simulated" in said and "2 there already" in said
 
 
 def test_the_standard_set_can_be_foreseen(run, tmp_path):

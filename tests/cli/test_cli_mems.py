@@ -71,7 +71,7 @@ def test_without_scikit_fem_the_rest_is_written(design, tmp_path, monkeypatch, c
         (
             "etalon",
             "gap_stop_nm = 460\n[actuator]\nelectrode_gap_um = 0.6",
-            "`gap` must lie within 260 to 460",
+            "`travel` must lie within 0 to 200 nm",
         ),
         ("etalon", "wavelength_stop_um = 3.0", "`wavelength_stop_um` must be less than or equal to 2.5"),
         ("etalon", "gap_contu = 3", "`gap_contu` must be a known key"),

@@ -292,7 +292,7 @@ def exchanged_near(folder):
         (lambda f: edited(f, "camera.toml", "pitch_um", "pitch"), "`pitch_um` must be given, got only"),
         (
             lambda f: (f / "camera.toml").write_text((f / "pose.toml").read_text()) and (),
-            "^`camera` must be a camera file, got a pose file, camera.toml .*wrong way round\\?\\)$",
+            "^`camera` must be a camera file, got a pose file, camera.toml .*exchanged\\?\\)$",
         ),
         (lambda f: edited(f, "camera.toml", "mm = 50", "mm = 0.05"), "sees 17.*are they in mm and µm"),
         (lambda f: edited(f, "pose.toml", "kappa_deg", "yaw_deg"), "did you mean `heading_deg`"),

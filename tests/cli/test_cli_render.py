@@ -211,7 +211,7 @@ def test_an_interrupt_leaves_nothing(monkeypatch, case_file, tmp_path, capsys):
         (["--band", "red"], "`--band` must be two wavelengths in µm, as 0.6:0.7, got 'red'"),
         (["--band", "0.9:1.2"], "`--band` must rise within the atmosphere's 0.4 to 1 µm, got 0.9:1.2"),
         (["--band", "0.505:0.515"], "`--band` must hold at least one of the atmosphere's wavelengths"),
-        (["--dolp", "--aop"], "`render` must be asked for one product, got --dolp and --aop"),
+        (["--dolp", "--aop"], "`render` must get one product, got --dolp and --aop"),
         (["--rgb", "--band", "0.5:0.6"], "`--rgb` must be given without --band"),
         (["--gsd", "2"], "`--gsd` must be given with --ortho, got 2 without it"),
         (["--ortho", "--gsd", "900"], "must hold at least one cell of 900"),

@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 from rich.console import Console
 
-from glintrack.cli.progress import Bar
-from glintrack.cli.run import _judged, print_loss_budget, print_scores
+from glintrack.cli.options import Bar
+from glintrack.cli.run import assess_tracks, print_loss_budget, print_scores
 from glintrack.metrics.requirement import read_requirement
 
 SCORES = {
@@ -75,6 +75,6 @@ def one_car(frames):
 
 def test_a_requirement_is_judged_by_the_tracks_that_are_told():
     window, wanted = [(-10.0, -10.0, 200.0, 10.0)], read_requirement("completeness>=0.4")
-    found = _judged(one_car(12), wanted, "pan", window)
+    found = assess_tracks(one_car(12), wanted, "pan", window)
     assert found.value == 0.5 and found.answer == "yes"
-    assert _judged(one_car(12), wanted, "pan", []).answer == "undecided"
+    assert assess_tracks(one_car(12), wanted, "pan", []).answer == "undecided"

@@ -60,13 +60,13 @@ def test_build_writes_a_case_and_refuses_what_is_there(tmp_path):
         (["traffic", "--fcd", "gone.csv", "-o", "t.nc"], "`gone.csv` must be a readable file"),
         (["build", "--dem", "gone.tif"], "`dem_file` must be a readable file, got"),
         (["preview", "embeded", "-o", "view.png"], "did you mean `embedded`?"),
-        (["preview", "embedded", "-o", "view.gif"], "must end in .png or .jpg"),
+        (["preview", "embedded", "-o", "view.gif"], "must end in .png, .jpg or .jpeg"),
         (["preview", "gone.toml", "-o", "view.png"], "gone.toml"),
         (["export", "embedded", "scene.obj"], "must end in .glb"),
-        (["build", "-o", "gone/scene.toml"], "must lie in an existing folder, got gone/scene.toml"),
-        (["preview", "embedded", "-o", "gone/a.png"], "must lie in an existing folder"),
-        (["export", "embedded", "gone/a.glb"], "must lie in an existing folder"),
-        (["traffic", "-o", "gone/t.nc"], "must lie in an existing folder"),
+        (["build", "-o", "gone/scene.toml"], "must be a file in an existing folder, got gone/scene.toml"),
+        (["preview", "embedded", "-o", "gone/a.png"], "must be a file in an existing folder"),
+        (["export", "embedded", "gone/a.glb"], "must be a file in an existing folder"),
+        (["traffic", "-o", "gone/t.nc"], "must be a file in an existing folder"),
     ],
 )
 def test_bad_input_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch, arguments, sentence):

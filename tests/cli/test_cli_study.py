@@ -28,11 +28,11 @@ def test_a_study_is_flown_resumed_and_reported(tmp_path, cheap_cases):
     study, out, cache = write_study(tmp_path, TWELVE), tmp_path / "out", tmp_path / "cache"
     first = invoke(study, "-o", out, "--serial", "--cache", cache)
     assert first.exit_code == 0, first.output
-    assert "12 of 12 cases to fly" in first.output and "12 of 12 cases finished" in first.output.replace(
+    assert "12 of 12 cases to simulate" in first.output and "12 of 12 cases finished" in first.output.replace(
         "\n", " "
     )
     again = invoke(study, "-o", out, "--serial", "--cache", cache)
-    assert "0 of 12 cases to fly" in again.output and "frames a second a core" in again.output
+    assert "0 of 12 cases to simulate" in again.output and "frames per second and core" in again.output
     told = invoke("report", out)
     assert told.exit_code == 0, told.output
     assert "sensor.pitch_um" in told.output and "wrote" in told.output
@@ -61,7 +61,7 @@ def test_a_dry_run_writes_nothing(tmp_path):
     out, cache = tmp_path / "out", tmp_path / "cache"
     told = invoke(write_study(tmp_path, TWELVE), "-o", out, "--dry-run", "--cache", cache)
     assert told.exit_code == 0, told.output
-    for word in ("cases", "12 to fly", "frames", "96", "time", "disk", "nothing written"):
+    for word in ("cases", "12 to simulate", "frames", "96", "time", "disk", "nothing written"):
         assert word in told.output
     assert not out.exists() and not cache.exists()
 

@@ -283,7 +283,7 @@ def test_a_stack_gives_the_same_tracks_as_the_folder(tmp_path, monkeypatch, caps
     ("make", "extra", "complaint"),
     [
         ({"transform": False}, ("--rate", 2), "must have a geotransform or a world file, got none"),
-        ({}, (), "must carry the tag time_s or come with --rate"),
+        ({}, (), "must have a tag time_s or need --rate"),
         ({"times": [0.0, 1.0, 0.5, 2.0]}, (), "must be later than the last frame's 1 s, got 0.5"),
         ({"times": [0.0, 1.0, 1.0, 2.0]}, (), "must be later than the last frame's 1 s, got 1"),
         (
@@ -311,8 +311,8 @@ def test_bad_frames_are_one_sentence(tmp_path, monkeypatch, capsys, make, extra,
         (("--crs", "EPSG:32619"), "`crs` must be the frames' own, EPSG:32618, got EPSG:32619"),
         (("--crs", "EPSG:4326"), "`crs` must be projected and in metres"),
         (("--rate", "inf"), "`rate` must be 1e-06 to 1e+06 Hz, got inf"),
-        (("--area", "0", "0", "9", "9"), "`area` must be asked for with detections, got 0.0 0.0 9.0 9.0"),
-        (("--features", "none"), "`features` must be asked for with detections, got none"),
+        (("--area", "0", "0", "9", "9"), "`area` must be used with detections, got 0.0 0.0 9.0 9.0"),
+        (("--features", "none"), "`features` must be used with detections, got none"),
         (("--geotransform", "0", "nan", "1"), "`geotransform` must have edges within ±1e+08 m"),
         (("--geotransform", "0", "0", "inf"), "`geotransform` must have edges within ±1e+08 m and pixels"),
     ],
@@ -363,7 +363,7 @@ def test_options_of_frames_are_refused_with_detections(tmp_path, monkeypatch, ca
     crossing()[0].to_csv(tmp_path / "d.csv", index=False)
     code, _, said = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out", *option)
     got = " ".join(f"{float(v):.1f}" if option[0] != "--channel" else v for v in option[1:])
-    assert code == 2 and f"`{option[0][2:]}` must be asked for with frames, got {got} for" in said
+    assert code == 2 and f"`{option[0][2:]}` must be used with frames, got {got} for" in said
 
 
 @pytest.mark.parametrize("option", [("--sigma-m", "inf"), ("--area", "-inf", "-inf", "inf", "inf")])
@@ -417,7 +417,7 @@ def test_frames_of_several_loops_are_refused(tmp_path, monkeypatch, capsys):
     for k, path in enumerate(sorted((tmp_path / "frames").iterdir())):
         path.rename(path.with_name(("all_", "pan_")[k % 2] + path.name))
     code, _, said = run(monkeypatch, capsys, "track", tmp_path / "frames", "-o", tmp_path / "out")
-    assert code == 2 and "`frames` must be of one loop of a flight, got all, pan" in said
+    assert code == 2 and "`frames` must be of one channel, got all, pan" in said
 
 
 def test_kilometres_for_metres_are_asked_about(tmp_path, monkeypatch, capsys):

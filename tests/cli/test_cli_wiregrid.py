@@ -39,7 +39,7 @@ def test_a_paper_grid_comes_from_its_table(tmp_path, monkeypatch):
         ("", ["--start-um", "0.2"], "must rise within 0.4 to 2.5 µm, got 0.2"),
         ("", ["--field-um", "nan"], "`field_um` must lie within 0.4 to 2.5 µm, got nan"),
         ("", ["--step-um", "1e308"], "`step_um` must divide 0.4 to 2.5 µm into whole steps, got 1e+308"),
-        ("", ["-o", "gone/x.nc"], "must lie in an existing folder"),
+        ("", ["-o", "gone/x.nc"], "must be a file in an existing folder"),
     ],
 )
 def test_bad_input_is_one_sentence(tmp_path, monkeypatch, text, arguments, sentence):

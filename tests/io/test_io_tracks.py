@@ -14,8 +14,8 @@ from glintrack.io.tracks import (
     TrackGeoreference,
     track_table,
     write_mot_truth,
+    write_paths,
     write_tracks,
-    write_ways,
 )
 
 ORIGIN_M = (500_000.0, 5_500_000.0)
@@ -70,7 +70,7 @@ def test_lines_lie_in_longitude_and_latitude(tmp_path, rows):
 
 
 def test_the_truths_ways_are_those_of_its_vehicles(tmp_path, rows):
-    write_ways(tmp_path / "truth.geojson", rows, PLACE)
+    write_paths(tmp_path / "truth.geojson", rows, PLACE)
     write_tracks(tmp_path, rows, "t", PLACE)
     mine, theirs = features_of(tmp_path / "truth.geojson"), features_of(tmp_path / "t.geojson")
     assert [f["geometry"] for f in mine] == [f["geometry"] for f in theirs]
@@ -78,7 +78,7 @@ def test_the_truths_ways_are_those_of_its_vehicles(tmp_path, rows):
 
 
 def test_nobody_is_an_empty_file_in_every_format(tmp_path):
-    write_ways(tmp_path / "truth.geojson", xr.Dataset(), PLACE)
+    write_paths(tmp_path / "truth.geojson", xr.Dataset(), PLACE)
     write_mot_truth(tmp_path / "gt.txt", xr.Dataset(), AREA_M, PLACE)
     write_tracks(tmp_path, xr.Dataset(), "t", PLACE)
     assert features_of(tmp_path / "truth.geojson") == features_of(tmp_path / "t.geojson") == []

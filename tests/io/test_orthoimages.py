@@ -37,7 +37,7 @@ def test_a_world_file_says_where(tmp_path):
 
 def test_a_geotransform_over_the_frames_own_is_told(tmp_path):
     write(tmp_path, "a.png", 7, world=".pgw")
-    with pytest.warns(UserWarning, match="--geotransform stands in for where the frames say"):
+    with pytest.warns(UserWarning, match="--geotransform replaces the position"):
         ((_, image),) = open_frames(tmp_path, 1.0, HERE).frames
     assert image["x"].values[0] != pytest.approx(1000.25)
 

@@ -188,7 +188,7 @@ def test_a_cache_that_cannot_be_written_costs_no_result(tmp_path):
 
     (tmp_path / "file").write_text("")
     with pytest.warns(UserWarning, match="cannot be written"):
-        assert cache.keep("stem", ".nc", tmp_path / "file" / "below", b"data") is None
+        assert cache.store("stem", ".nc", tmp_path / "file" / "below", b"data") is None
 
 
 @pytest.fixture

@@ -192,7 +192,10 @@ def test_a_png_that_is_cut_off_or_damaged_is_refused(tmp_path, cut):
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ("principal_row = 5000.0", r"`principal_row` must lie in the image, 0 to 119, got 5000 \(an offset"),
+        (
+            "principal_row = 5000.0",
+            r"`principal_row` must lie in the image, 0 to 119, got 5000 \(add an offset",
+        ),
         ("principal_column = -3.0", r"`principal_column` must lie in the image, 0 to 159, got -3"),
         ("[distortion]\nb1 = 500.0", r"`distortion.b1` must lie within ±0.1, got 500 \(in pixels\?"),
     ],

@@ -31,7 +31,7 @@ def flown(three_cars, tmp_path):
     folder = tmp_path / "result"
     folder.mkdir()
     recorder = Recorder(design, folder)
-    tree = simulate(design, recorder.record, pictured=recorder.picture)
+    tree = simulate(design, recorder.record, on_image=recorder.picture)
     write_result(folder, design, tree, recorder)
     return design, folder
 

@@ -103,7 +103,7 @@ def test_a_full_disk_costs_the_cache_not_the_case(three_cars, tmp_path, monkeypa
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("glintrack.study.hits.cache.keep", full)
+    monkeypatch.setattr("glintrack.study.hits.cache.store", full)
     kept = HitsCache(tmp_path, geometry(case()))
     assert simulate(case(), hits_cache=kept).attrs["frames_done"] == 4
     assert kept.bytes_kept == 0

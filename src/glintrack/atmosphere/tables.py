@@ -15,7 +15,7 @@ from glintrack.atmosphere.design import AtmosphereDesign
 from glintrack.atmosphere.sun import sun_direction
 from glintrack.core.schema import RADIANCE, check
 from glintrack.io.atomic import write_bytes
-from glintrack.io.cache import cache_folder, content_stem, find, keep
+from glintrack.io.cache import cache_folder, content_stem, find, store
 
 
 def solve_tables(
@@ -53,7 +53,7 @@ def solve_tables(
         with tempfile.TemporaryDirectory(prefix="glintrack-") as scratch:
             if path is None:
                 path = solve_in_worker(design, Path(scratch), progress, threads)
-                keep(stem, ".nc", folder, path.read_bytes())
+                store(stem, ".nc", folder, path.read_bytes())
             tables = xr.load_dataset(path, engine="h5netcdf")
     return check(with_radiances(tables), "atmosphere")
 

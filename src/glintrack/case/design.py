@@ -1,21 +1,22 @@
 """A case: one design of everything, from one TOML file."""
 
 import math
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Collection, Container, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
 from glintrack.atmosphere import AtmosphereDesign, sun_direction
-from glintrack.case.packaged import PACKAGED_CASES, list_cases
-from glintrack.core.designs import Design, validate_design, with_changes
+from glintrack.case.packaged import PACKAGED_CASES, find_case, list_cases
+from glintrack.core.designs import Design, suggest_name, validate_design, with_changes
 from glintrack.flight import FlightDesign
 from glintrack.io.toml import read_toml
 from glintrack.scene import SceneDesign
 from glintrack.sensor import NavigationDesign, SensorDesign
 from glintrack.track import TrackDesign
 
+Located = TypeVar("Located", SceneDesign, SensorDesign)
 _WIDEST_FIELD_DEG = 120.0
 _STUDY_MARKS = {"axes", "design", "cases", "replicates"}  # keys that only a study has
 
@@ -23,78 +24,47 @@ _STUDY_MARKS = {"axes", "design", "cases", "replicates"}  # keys that only a stu
 class OrthoDesign(Design):
     """Rectification; the ``[ortho]`` table of a case."""
 
-    gsd_m: float = Field(
-        default=1.5, gt=0.05, le=50, description="Cell of the ground grid (Table 1: 0.75 and 1.5)"
-    )
-    method: Literal["nearest", "bilinear", "cubic"] = Field(
-        default="bilinear", description="The paper uses nearest"
-    )
-    surface: Literal["terrain", "surface"] = Field(
-        default="terrain",
-        description="What may hide the ground: nothing, or roofs and crowns: images then leave out what lies "
-        "behind them",
-    )
-    registration: Literal["none", "phase"] = Field(
-        default="none", description="Move frames onto the first one's content by phase correlation"
-    )
+    gsd_m: float = Field(default=1.5, gt=0.05, le=50)
+    """Cell of the ground grid (Table 1: 0.75 and 1.5)."""
+    method: Literal["nearest", "bilinear", "cubic"] = "bilinear"
+    """The paper uses nearest."""
+    surface: Literal["terrain", "surface"] = "terrain"
+    """Terrain alone, or also roofs and crowns: then hidden ground is left out of images."""
+    registration: Literal["none", "phase"] = "none"
+    """Move frames onto the first one's content by phase correlation."""
 
 
 class BoundDesign(Design):
     """Design of the loss budget; the ``[bound]`` table of a case."""
 
-    every: int = Field(
-        default=5,
-        ge=0,
-        le=1_000_000,
-        description="Interval of the frames on which `glintrack run` measures the loss budget; 0 for none",
-    )
-    false_per_frame: float = Field(
-        default=20.0,
-        gt=0,
-        le=1000,
-        description="False detections a frame at which the stages that detect are compared",
-    )
+    every: int = Field(default=5, ge=0, le=1_000_000)
+    """Interval of the frames on which `glintrack run` measures the loss budget; 0 for none."""
+    false_per_frame: float = Field(default=20.0, gt=0, le=1000)
+    """False detections a frame at which the stages that detect are compared."""
 
 
 class OutputDesign(Design):
-    """What a run writes beside tracks and scores; the ``[output]`` table of a case."""
+    """Optional output of a run; the ``[output]`` table of a case."""
 
-    keep_frames: int = Field(
-        default=5,
-        ge=0,
-        le=100_000,
-        description="How many rectified frames to write as GeoTIFF, evenly spread",
-    )
-    film_frames: int = Field(
-        default=150,
-        ge=0,
-        le=3600,
-        description="How many frames the film of the report page has, evenly spread; 0 for no film. "
-        "Each costs less than half of what shading a frame does",
-    )
-    quality: bool = Field(
-        default=False,
-        description="Hold every frame against its noiseless truth: picture, spectra, polarization",
-    )
-    boxes: bool = Field(
-        default=False,
-        description="Write `boxes.csv`: where every frame images each vehicle, parked ones too",
-    )
+    keep_frames: int = Field(default=5, ge=0, le=100_000)
+    """Number of rectified frames to write as GeoTIFF, evenly spread."""
+    film_frames: int = Field(default=150, ge=0, le=3600)
+    """Number of frames of the report page's film, evenly spread; 0 for no film."""
+    quality: bool = False
+    """Compare every frame with its noiseless truth: image, spectra, polarization."""
+    boxes: bool = False
+    """Write `boxes.csv`: box of each vehicle, also parked ones, in every frame."""
 
 
 class Case(Design):
-    """One design, flown once: what ``glintrack run`` reads."""
+    """One design of everything, which ``glintrack run`` simulates."""
 
-    name: str = Field(
-        default="case", min_length=1, max_length=80, description="What pictures and folders are called by"
-    )
-    seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Root of every random draw")
-    channels: tuple[Literal["pan", "dolp", "all"], ...] = Field(
-        default=("pan", "dolp", "all"),
-        min_length=1,
-        description="What change detection looks at; each closes its own loop. `all` is one statistic of "
-        "both, or of all elements",
-    )
+    name: str = Field(default="case", min_length=1, max_length=80)
+    """Name of figures and folders."""
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    """Seed of all random numbers."""
+    channels: tuple[Literal["pan", "dolp", "all"], ...] = Field(default=("pan", "dolp", "all"), min_length=1)
+    """Tracking channels; each has its own tracker. `all` uses pan and DoLP, or all elements."""
     scene: SceneDesign = SceneDesign()
     atmosphere: AtmosphereDesign = AtmosphereDesign()
     flight: FlightDesign = FlightDesign()
@@ -108,7 +78,7 @@ class Case(Design):
     @field_validator("name")
     @classmethod
     def _name_names_a_folder(cls, name: str) -> str:
-        """A case's name becomes part of a file's name, on every system, in the folder one works in."""
+        """Refuse names that no file can have on some system."""
         if not name.isprintable() or set(name) & set('/\\<>:"|?*') or name.strip(" .") != name:
             raise ValueError(
                 '`name` must be one that a folder can have: printable, without / \\ < > : " | ? *, not '
@@ -124,7 +94,7 @@ class Case(Design):
 
     @model_validator(mode="after")
     def _parts_fit_together(self) -> Self:
-        """What no part can check alone, found before anything is built."""
+        """Check the tables against each other."""
         try:
             sun_direction(self.atmosphere)
         except ValueError as error:  # a sun that is not up
@@ -147,9 +117,9 @@ class Case(Design):
                 f"`flight.rate_hz` must be at most sensor.clock_hz, {self.sensor.clock_hz:g} Hz, "
                 f"got {self.flight.rate_hz:g}"
             )
-        asks = self.track.query.policy != "none" and self.sensor.has_mirror
+        queries = self.track.query.policy != "none" and self.sensor.has_mirror
         needed_ms, frame_ms = self.sensor.second_exposure_ends_ms, 1e3 / self.sensor.clock_hz
-        if asks and self.track.query.at == "detection" and needed_ms > frame_ms:
+        if queries and self.track.query.at == "detection" and needed_ms > frame_ms:
             raise ValueError(
                 f"`track.query.at` must be 'prediction' where frame, mirrors and spectra in turn "
                 f"take longer than a frame's {frame_ms:g} ms (see sensor.clock_hz), got {needed_ms:g} ms"
@@ -181,44 +151,43 @@ class Case(Design):
         path
             TOML file.
         allow_outside_paths
-            Whether the files it names may lie elsewhere than in its own folder and below: a case that comes
-            from somebody else has no business with the rest of a disk.
+            Allow paths of files outside the case's folder; for cases that you trust.
         changes
-            Values in the place of the file's, as of `replace`: one that is at fault may be put right. Files
-            that they name are meant from the working folder, and may lie anywhere.
+            Values that replace those of the file, as for `replace`. Their file paths are relative to the
+            working folder, and may be outside the case's.
 
         Raises
         ------
         ValueError
-            In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
+            In one sentence: the fault of the file, a key (the nearest known one is suggested) or a value.
         """
         values, folder, own = read_case(path), Path(path).parent, changes or {}
         case = validate_design(cls, with_changes(values, own))
-        located = case._located(folder, None if allow_outside_paths else (folder,), own)
-        return located.replace(own) if own else located  # their files as they were given
+        located = case._locate(folder, None if allow_outside_paths else (folder,), own)
+        return located.replace(own) if own else located  # with the paths of changes as given
 
     @classmethod
     def from_values(cls, values: dict, folder: Path, inside: Sequence[Path] | None = None) -> "Case":
-        """A case from plain values.
+        """Build a case from plain values.
 
         Parameters
         ----------
         values
             As a case's file has them.
         folder
-            Where relative file names are meant from.
+            Folder that relative file paths start from.
         inside
-            Folders in one of which, or below, every file must lie; anywhere if none are given.
+            Folders that must contain every file; None for no restriction.
 
         Raises
         ------
         ValueError
-            In one sentence: what is wrong with a key or a value.
+            In one sentence: the fault of a key or a value.
         """
-        return validate_design(cls, values)._located(folder, inside)
+        return validate_design(cls, values)._locate(folder, inside)
 
-    def _located(self, folder: Path, inside: Sequence[Path] | None, free: Container[str] = ()) -> "Case":
-        """The same case with relative file names taken from a folder; files of ``free`` keys lie anywhere."""
+    def _locate(self, folder: Path, inside: Sequence[Path] | None, free: Container[str] = ()) -> "Case":
+        """Case with paths relative to a folder; files of ``free`` keys may be outside ``inside``."""
         parts = {"scene": self.scene, "flight": self.flight, "sensor": self.sensor}
         located = {name: part.resolve_files(folder) for name, part in parts.items()}
         if inside is not None:
@@ -230,7 +199,7 @@ class Case(Design):
 
 
 def read_case(path: str | Path) -> dict[str, Any]:
-    """A case's values as its file has them, over those of the packaged case that it names as ``like``.
+    """Read the values of a case file, over those of the packaged case that it names as ``like``.
 
     Raises
     ------
@@ -239,9 +208,8 @@ def read_case(path: str | Path) -> dict[str, Any]:
     """
     values = {"name": Path(path).stem, **read_toml(path, "case")}
     if _STUDY_MARKS & set(values):
-        raise ValueError(
-            f"`case` must be a case, got the study {_short(path)} (glintrack study {_short(path)})"
-        )
+        name = Path(path).stem if Path(path).parent == PACKAGED_CASES else path
+        raise ValueError(f"`case` must be a case, got the study {name} (glintrack study {name})")
     for key in ("case", "base"):
         if key in values:
             raise ValueError(
@@ -251,35 +219,63 @@ def read_case(path: str | Path) -> dict[str, Any]:
 
 
 def over_like(values: dict[str, Any]) -> dict[str, Any]:
-    """Values of a case, or some of its tables, over those of the packaged case that they name as ``like``."""
+    """Values of a case, over those of the packaged case that they name as ``like``."""
     if "like" not in values:
         return values
     like, known = values["like"], list_cases()
     if like not in known:
         raise ValueError(f"`like` must name a packaged case ({', '.join(known)}), got {str(like)[:80]!r}")
-    own = {key: value for key, value in values.items() if key != "like"}
-    return _over(read_toml(PACKAGED_CASES / f"{like}.toml", "like"), own)
+    below = read_toml(PACKAGED_CASES / f"{like}.toml", "like")
+    return _merge(below, {key: value for key, value in values.items() if key != "like"})
 
 
-def _over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """Nested values with those of another table in their place."""
+def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Merge nested tables; values of ``above`` replace those of ``below``."""
     out = {**below, **above}
     for key, value in above.items():
         if isinstance(value, dict) and isinstance(below.get(key), dict):
-            out[key] = _over(below[key], value)
+            out[key] = _merge(below[key], value)
     return out
 
 
-def _short(path: str | Path) -> str:
-    """A file as one would name it on the command line: a packaged one by its name alone."""
-    path = Path(path)
-    return path.stem if path.parent == PACKAGED_CASES else str(path)
+def read_table(model: type[Located], name: str, table: str, key: str, packaged: Collection[str]) -> Located:
+    """Read one table of a case, or a packaged design by its name.
+
+    Parameters
+    ----------
+    model
+        Design of the table.
+    name
+        TOML file with the table, name of a packaged case, or one of ``packaged``.
+    table
+        Name of the table.
+    key, packaged
+        Key that selects a packaged design, and its values.
+
+    Raises
+    ------
+    ValueError
+        If there is no such design or file, or the file has no such table.
+    """
+    is_name = not Path(name).exists()
+    if is_name and name in packaged:
+        return validate_design(model, {key: name})
+    if is_name and not Path(name).suffix and name not in list_cases():
+        hint = suggest_name(name, [*packaged, *list_cases()])
+        raise ValueError(
+            f"`{table}` must be a packaged {table}, a packaged case or a TOML file, got {name} ({hint})"
+        )
+    path = find_case(name)
+    values = over_like(read_toml(path, table)).get(table)
+    if not isinstance(values, dict):
+        raise ValueError(f"`{table}` must be a TOML file with a [{table}] table, got none in {name}")
+    return validate_design(model, values).resolve_files(path.parent)
 
 
 def _check_inside(
     table: str, given: Design, located: Design, folders: list[Path], free: Container[str]
 ) -> None:
-    """Refuse a file that a table names outside some folders, unless its key is free to."""
+    """Refuse file paths of a table outside some folders, except those of ``free`` keys."""
     for key in type(given).model_fields:
         before, after = getattr(given, key), getattr(located, key)
         if f"{table}.{key}" in free:

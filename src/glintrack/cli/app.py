@@ -1,4 +1,4 @@
-"""The ``glintrack`` program: its commands by name, each loaded from its own file when it is called."""
+"""The ``glintrack`` program: its commands by name, each loaded from its module when it is called."""
 
 import os
 import signal
@@ -11,7 +11,7 @@ import typer
 import typer.core
 from rich.console import Console
 
-from glintrack.cli.options import STYLE
+from glintrack.cli.options import STYLE, option
 from glintrack.core.installation import VERSION
 from glintrack.core.numba_cache import set_cache_folder
 from glintrack.io.cache import cache_folder
@@ -19,25 +19,27 @@ from glintrack.io.untrusted import plain
 
 # command -> the first sentence of its help, which `glintrack --help` shows without loading the command
 COMMANDS = {
-    "run": "Fly a case: city, frames, tracks, scores; writes a result folder.",
-    "report": "Write one page that shows a run or a study and opens anywhere, without a network.",
-    "view": "Show a result in the browser; pictures are sent as they are needed.",
-    "video": "Write the film of a flight with its tracks as MP4 (extra `video`) or GIF.",
-    "study": "Fly the cases of a study, `glintrack study FILE`, resuming where it stopped; or report on one.",
+    "run": "Simulate a case: city, frames, tracks and scores; writes a result folder.",
+    "report": "Write one HTML page about a run or a study; it opens without a network.",
+    "view": "Show a result in the browser; images are sent as they are needed.",
+    "video": "Write the film of a simulation with its tracks as MP4 (extra `video`) or GIF.",
+    "study": "Simulate the cases of a study, `glintrack study FILE`, or report on a study.",
     "dataset": "Build a labelled set of frames, `glintrack dataset CASE… -o DIR`, or score baselines on one.",
-    "case": "List the packaged cases, check a case file, or print all its keys.",
+    "case": "List the packaged cases, check a case file, or print its keys.",
     "track": "Track your own detections or frames.",
-    "bound": "Measure the loss budget from moving vehicles down to the reported pose, without a tracker.",
+    "bound": "Measure the loss budget of a case, without a tracker.",
     "score": "Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more.",
-    "ortho": "Rectify an image of your own by collinearity with its pose, onto a DEM, in any CRS.",
-    "render": "Render one frame as the lens receives it.",
-    "scene": "Build a city from your own data, look at it, export it.",
-    "atmosphere": "Solve a polarized sky and path, and plot them.",
+    "ortho": "Rectify your own image by collinearity with its pose, onto a DEM, in any CRS.",
+    "render": "Render one frame of a case as the lens receives it.",
+    "scene": "Build a city from your own data, preview it, export it.",
+    "atmosphere": "Solve the polarized sky and path radiance, and plot them.",
     "polarimetry": "Measure polarization in raw mosaics of a camera: Stokes vectors, DoLP and AoP.",
-    "sensor": "Look at a sensor's design, or expose one frame with it.",
+    "sensor": "Describe a sensor or a lens, or expose one frame with a sensor.",
     "device": "Solve wire grids, etalons and micromirrors, and plot them.",
     "warm-up": "Compile all kernels of a simulation, once after an installation.",
 }
+_MODULES = {"view": "report", "video": "report", "warm-up": "run"}  # others have their own
+_INTERRUPTED = 130  # exit code that typer makes of Ctrl-C
 
 
 class _LazyGroup(typer.core.TyperGroup):
@@ -54,7 +56,9 @@ app = typer.Typer(cls=_LazyGroup, help="Will this imaging sensor keep track of t
 
 def load_command(name: str):
     """Import the module of a command, or of a group of commands, and return the command."""
-    command = typer.main.get_command(import_module(f"glintrack.cli.{name.replace('-', '_')}").app)
+    module = import_module(f"glintrack.cli.{_MODULES.get(name, name)}")
+    own = f"{name.replace('-', '_')}_app" if name in _MODULES else "app"
+    command = typer.main.get_command(getattr(module, own))
     command.name = name
     return command
 
@@ -76,7 +80,7 @@ def _print_version(wanted: bool) -> None:
 def begin(
     context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", help="Show the version.", callback=_print_version, is_eager=True)
+        bool, option("Show the version.", "--version", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
     """Will this imaging sensor keep track of the vehicles?"""
@@ -91,7 +95,9 @@ for _name, _sentence in COMMANDS.items():
 
 def main() -> None:
     """Run the program. Invalid input is one sentence on the standard error stream and exit code 2."""
-    _open_closed_streams()
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # closed: a file that is opened would take its place
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))
     received = handle_signals()
     warnings.formatwarning = _format_warning
     set_cache_folder(cache_folder("kernels"))
@@ -102,29 +108,19 @@ def main() -> None:
 
 
 def _run(received: list[int]) -> tuple[str, int]:
-    """Run the command of the command line; return what to say about its end, and the exit code."""
+    """Run the command of the command line; return the message about its end, and the exit code."""
     try:
         code = _call()
-    except (ValueError, OSError, MemoryError) as error:
-        if received:  # an interrupted library may raise anything
-            return _interrupted(received)
-        return _describe(error), 2
-    except KeyboardInterrupt:
-        return _interrupted(received)
-    except Exception as error:
-        if received:
-            return _interrupted(received)
-        if not hasattr(error, "format_message"):
-            raise
-        return _describe_usage(error), 2  # an error of the parser
+    except (Exception, KeyboardInterrupt) as error:
+        if received or isinstance(error, KeyboardInterrupt):  # an interrupted library may raise anything
+            code = _INTERRUPTED
+        else:
+            return _describe(error), 2
     if code == _INTERRUPTED:
-        return _interrupted(received)
+        return "interrupted, nothing written", 128 + (received[0] if received else signal.SIGINT)
     if received and code == 0:  # the command kept what was done and said so
         return f"stopped by {signal.Signals(received[0]).name}", 128 + received[0]
     return "", code
-
-
-_INTERRUPTED = 130  # exit code that typer makes of Ctrl-C
 
 
 def _call() -> int:
@@ -137,31 +133,19 @@ def _call() -> int:
     return code if isinstance(code, int) else 0
 
 
-def _interrupted(received: list[int]) -> tuple[str, int]:
-    return "interrupted, nothing written", 128 + (received[0] if received else signal.SIGINT)
-
-
 def _describe(error: Exception) -> str:
-    """Describe invalid input, a failed file access or a lack of memory."""
+    """Describe invalid input, a failed file access, a lack of memory or a wrong command line."""
     if isinstance(error, OSError):
         return plain(f"{error.strerror or error}: {error.filename or 'output'}")
     if isinstance(error, MemoryError):
         return "not enough memory for this computation (use a smaller case or fewer workers)"
-    return plain(error)
-
-
-def _describe_usage(error: Exception) -> str:
-    """Describe an error of the command line in the parser's words, with the command whose help to read."""
+    if isinstance(error, ValueError):
+        return plain(error)
+    if not hasattr(error, "format_message"):  # no error of the command line's parser
+        raise error
     context = getattr(error, "ctx", None)
     path = context.command_path if context is not None else "glintrack"
     return f"{plain(error.format_message()).rstrip('.')} (see `{path} --help`)"  # pyright: ignore
-
-
-def _open_closed_streams() -> None:
-    """Open the null device for standard streams that are closed, as files would take their place."""
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))
 
 
 _default_format = warnings.formatwarning

@@ -1,60 +1,57 @@
-"""``glintrack atmosphere``: solve a sky, and look at it."""
+"""``glintrack atmosphere``: solve a sky, and plot it."""
 
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import typer
 from matplotlib.figure import Figure
-from rich.console import Console
 
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.case.design import Case, over_like
-from glintrack.cli.options import command_app
-from glintrack.cli.progress import Bar
+from glintrack.cli.options import Bar, argument, check_output, command_app, open_console, option
 from glintrack.core.designs import validate_design
 from glintrack.core.schema import check
 from glintrack.io import images, netcdf
 from glintrack.io.toml import read_toml
 from glintrack.results.figures import sky as plot_sky
 
-app = command_app("Solve a polarized sky and path, and plot them.")
+app = command_app("Solve the polarized sky and path radiance, and plot them.")
 _QUANTITIES = ("I", "DoLP", "AoP")
 
 
 @app.command()
 def solve(
-    design: Annotated[
-        Path, typer.Argument(help="TOML file: the keys of a case's [atmosphere] table, or a whole case")
-    ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file to write")],
+    design: Annotated[Path, argument("TOML file: a case, or the keys of its [atmosphere] table")],
+    output: Annotated[Path, option("NetCDF file to write", "-o", "--output")],
 ) -> None:
-    """Solve sun, sky, path and transmittance; radiances in W m⁻² sr⁻¹ µm⁻¹, wavelengths in µm."""
+    """Solve irradiance, sky, path radiance and transmittance.
+
+    Radiances are in W m⁻² sr⁻¹ µm⁻¹, wavelengths in µm.
+    """
     values = over_like(read_toml(design, "design"))
     is_case = not set(values) <= set(AtmosphereDesign.model_fields) and set(values) & set(Case.model_fields)
     atmosphere = validate_design(AtmosphereDesign, values.get("atmosphere", {} if is_case else values))
-    if not output.parent.is_dir():
-        raise ValueError(f"`output` must lie in an existing folder, got {output}")
-    console = Console()
+    check_output(output)
+    console = open_console()
     with Bar(console) as progress:
         task = progress.add_task("solving the sky", total=1.0)
         tables = solve_tables(atmosphere, lambda done: progress.update(task, completed=done))
         progress.update(task, completed=1.0)
     netcdf.write_dataset(output, tables)
-    console.print(f"wrote {output}: {tables.sizes['wavelength']} wavelengths", soft_wrap=True)
+    console.print(f"wrote {output}: {tables.sizes['wavelength']} wavelengths")
 
 
 @app.command()
 def plot(
-    tables: Annotated[Path, typer.Argument(help="NetCDF file from `glintrack atmosphere solve`")],
+    tables: Annotated[Path, argument("NetCDF file from `glintrack atmosphere solve`")],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="PNG file to write [default: beside the tables]")
+        Path | None, option("PNG file to write [default: TABLES.png]", "-o", "--output")
     ] = None,
     wavelength_um: Annotated[
-        list[float] | None, typer.Option("--wavelength-um", help="Wavelengths to map, µm; repeatable")
+        list[float] | None, option("Wavelength to map [µm]; repeatable", "--wavelength-um")
     ] = None,
 ) -> None:
-    """Draw fisheye maps of the sky's I, DoLP and AoP, and the spectra of sun, sky and path."""
+    """Draw fisheye maps of the sky's I, DoLP and AoP, and the spectra of sun, sky and path radiance."""
     dataset = check(netcdf.read_dataset(tables, "tables"), "atmosphere")
     available = dataset["wavelength"].values
     chosen = wavelength_um or [0.45, 0.65, 0.85]
@@ -76,4 +73,4 @@ def plot(
     plot_sky.spectra(figure.add_subplot(grid[-1, :]), dataset)
     output = output or tables.with_suffix(".png")
     images.write_figure(output, figure, dpi=120)
-    Console().print(f"wrote {output}", soft_wrap=True)
+    open_console().print(f"wrote {output}")

@@ -1,11 +1,10 @@
-"""``glintrack case``: what cases there are, whether one is valid, and what its keys mean."""
+"""``glintrack case``: list cases, check one, and print the meaning of its keys."""
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated
 
-import typer
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
@@ -14,98 +13,93 @@ from rich.text import Text
 from glintrack.case.check import assess
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case, list_cases, list_studies
-from glintrack.cli.options import CaseArgument, OutsidePathsOption, command_app
+from glintrack.cli.options import (
+    CaseArgument,
+    OutsidePathsOption,
+    argument,
+    command_app,
+    make_table,
+    open_console,
+    option,
+)
 from glintrack.core.designs import Key, keys_of, suggest_name, tables_of
 from glintrack.flight import check_recorded, check_waypoints
 from glintrack.scene import build_scene
 from glintrack.sensor import build_sensor
 
-_WIDTH = 160  # of tables that go into a file
+_FILE_WIDTH = 160  # of tables that go into a file [character]
 _TOP = "case"  # keys in no table
-app = command_app("List the packaged cases, check a case file, or print all its keys.")
+app = command_app("List the packaged cases, check a case file, or print its keys.")
 
 
 @app.command("list")
 def show_cases() -> None:
     """List the packaged cases and studies."""
-    console = Console(soft_wrap=True, highlight=False)
-    console.print(f"cases, for glintrack run: {', '.join(list_cases())}")
-    console.print(f"studies, for glintrack study: {', '.join(list_studies())}")
+    print(f"cases, for glintrack run: {', '.join(list_cases())}")
+    print(f"studies, for glintrack study: {', '.join(list_studies())}")
 
 
 @app.command()
 def check(case: CaseArgument, allow_outside_paths: OutsidePathsOption = False) -> None:
-    """Say whether a case and the files it names are valid, and what it amounts to, without flying it."""
+    """Validate a case and the files it names, and print its derived quantities."""
     path = find_case(case)
     design = Case.from_toml(path, allow_outside_paths)
     flight = design.flight
     build_sensor(design.sensor, design.atmosphere.wavelength_um)
     if flight.kind == "waypoints":
         check_waypoints(flight)
-    console = Console(soft_wrap=True, highlight=False)
+    console = open_console()
     if design.scene.uses_files or design.scene.panels:
         with console.status("building the city …"):
             recording_duration_s = build_scene(design.scene).duration_s
     else:
         recording_duration_s = design.scene.recording_duration_s
     check_recorded(flight, recording_duration_s)
-    console.print(
-        f"{path} is a valid case: {flight.frames} frames at {flight.rate_hz:g} Hz over {design.scene.city}",
-        markup=False,
-    )
     about = assess(design)
-    for line in about.lines():
-        console.print(f"  {line}", markup=False)
-    for warning in about.warnings:
-        console.print(f"warning: {warning}", markup=False)
+    console.print(
+        f"{path} is a valid case: {flight.frames} frames at {flight.rate_hz:g} Hz over {design.scene.city}"
+    )
+    for line in (
+        *(f"  {line}" for line in about.lines()),
+        *(f"warning: {one}" for one in about.of_sensor + about.of_flight),
+    ):
+        console.print(line)
 
 
 @app.command()
 def schema(
-    table: Annotated[
-        str | None,
-        typer.Argument(help="One table or key: sensor, sensor.optics, sensor.pitch_um [default: the tables]"),
-    ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="Every key of every table")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="The JSON Schema instead of tables")] = False,
+    table: Annotated[str | None, argument("Table or key, as sensor.pitch_um [default: list tables]")] = None,
+    everything: Annotated[bool, option("Print every key of every table", "--all")] = False,
+    as_json: Annotated[bool, option("Print the JSON Schema instead of tables", "--json")] = False,
 ) -> None:
-    """List the tables of a case; of a table, print every key with its unit, range, default and meaning."""
+    """List the tables of a case, or print the keys of a table with unit, range, default and meaning."""
     if as_json:
         print(json.dumps(Case.model_json_schema(), indent=2))
         return
-    console = Console(width=None if sys.stdout.isatty() else _WIDTH)
+    console = Console(width=None if sys.stdout.isatty() else _FILE_WIDTH)
     tables = dict(keys_of(Case))
     if table is None and not everything:
-        _print_tables(console, tables)
+        about = {"": "Name, seed and channels"} | dict(tables_of(Case))
+        rows = [
+            (Text(f"[{name}]" if name else _TOP), Text(about.get(name, "")), str(len(keys)))
+            for name, keys in tables.items()
+        ]
+        console.print(make_table(None, ("table", "content", "keys"), rows, left=2))
+        console.print("glintrack case schema TABLE prints its keys, --all those of every table")
         return
     if table == _TOP:
-        _print_keys(console, "", tables[""])
-        return
-    chosen = {name: keys for name, keys in tables.items() if table is None or _lies_in(name, table)}
-    if table is not None and not chosen:
-        chosen = {name: [key for key in keys if key.name == table] for name, keys in tables.items()}
+        chosen = {"": tables[""]}
+    elif table is None:
+        chosen = tables
+    else:
+        chosen = {n: keys for n, keys in tables.items() if n == table or n.startswith(f"{table}.")}
+        chosen = chosen or {n: [key for key in keys if key.name == table] for n, keys in tables.items()}
     if not any(chosen.values()):
         known = (_TOP, *filter(None, tables), *(key.name for keys in tables.values() for key in keys))
         raise ValueError(f"`table` must be one of a case, got {table} ({suggest_name(str(table), known)})")
     for name, keys in chosen.items():
         if keys:
             _print_keys(console, name, keys)
-
-
-def _lies_in(name: str, table: str) -> bool:
-    return name == table or name.startswith(f"{table}.")
-
-
-def _print_tables(console: Console, tables: Mapping[str, Sequence[Key]]) -> None:
-    """A line a table: what it holds and how many keys."""
-    about = {"": "Name, seed and channels"} | dict(tables_of(Case))
-    shown = Table(box=SIMPLE, expand=False)
-    for heading in ("table", "keys", "what"):
-        shown.add_column(heading, justify="right" if heading == "keys" else "left")
-    for name, keys in tables.items():
-        shown.add_row(Text(f"[{name}]" if name else _TOP), str(len(keys)), Text(about.get(name, "")))
-    console.print(shown)
-    console.print("glintrack case schema TABLE prints its keys, --all every one", markup=False)
 
 
 def _print_keys(console: Console, name: str, keys: Sequence[Key]) -> None:

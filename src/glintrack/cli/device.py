@@ -1,5 +1,6 @@
 """``glintrack device``: solve the sensor's optical devices, and draw them."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -8,11 +9,17 @@ import xarray as xr
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from glintrack.cli.options import check_folder, command_app
-from glintrack.cli.wire_grid import Output, Plot, solve_wiregrid
+from glintrack.cli.options import Bar, argument, check_output, command_app, open_console, option
 from glintrack.core.designs import validate_design
 from glintrack.core.installation import missing_extra
-from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign, etalon
+from glintrack.core.spectral import (
+    MAX_WAVELENGTH_UM,
+    MIN_WAVELENGTH_UM,
+    STANDARD_STEP_UM,
+    check_wavelengths,
+    wavelength_grid,
+)
+from glintrack.devices import PAPER_GRIDS, EtalonDesign, MicromirrorDesign, WireGridDesign, etalon, wire_grid
 from glintrack.devices import micromirror as mirror
 from glintrack.devices.micromirror.model3d import superpixel_glb
 from glintrack.devices.micromirror.plate import bend_plate
@@ -20,68 +27,102 @@ from glintrack.io import atomic, images, netcdf
 from glintrack.io.toml import read_toml
 from glintrack.results.figures import devices as plot_devices
 
-_TRAVEL_POINTS = 200
 app = command_app("Solve wire grids, etalons and micromirrors, and plot them.")
-app.command("wiregrid")(solve_wiregrid)
+OutputOption = Annotated[Path, option("NetCDF file to write", "-o", "--output")]
+PlotOption = Annotated[bool, option("Draw PNG files next to the output, too", "--plot")]
+
+
+@app.command("wiregrid")
+def solve_wiregrid(
+    design: Annotated[str, argument(f"TOML file, or a grid of the paper: {', '.join(PAPER_GRIDS)}")],
+    output: OutputOption,
+    plot: PlotOption = False,
+    start_um: Annotated[float, option("Shortest wavelength [µm]")] = MIN_WAVELENGTH_UM,
+    stop_um: Annotated[float, option("Longest wavelength [µm]")] = MAX_WAVELENGTH_UM,
+    step_um: Annotated[float, option("Step of the wavelengths [µm]")] = STANDARD_STEP_UM,
+    field_um: Annotated[float, option("Wavelength of the field maps of --plot [µm]")] = 1.5,
+) -> None:
+    """Transmittances, field ratio and Mueller matrices of a wire-grid polarizer against wavelength in µm.
+
+    The paper's grids come from shipped tables; others are solved (extra `em`). The same command continues a
+    sweep that was stopped.
+    """
+    path = Path(design)
+    if not path.exists() and design in PAPER_GRIDS:
+        grid = PAPER_GRIDS[design]
+    else:
+        grid = validate_design(WireGridDesign, read_toml(path, "design"))
+        grid = grid.model_copy(update={"metal": grid.metal.resolve_files(path.parent)})
+    um = wavelength_grid(start_um, stop_um, step_um)
+    check_wavelengths(field_um, "field_um")
+    check_output(output)
+    console = open_console()
+    with Bar(console) as progress:
+        task = progress.add_task(f"solving {um.size} wavelengths", total=1.0)
+        try:
+            table = wire_grid.response(grid, um, lambda done: progress.update(task, completed=done))
+        except KeyboardInterrupt:
+            console.print("interrupted: finished wavelengths are stored; the same command continues")
+            raise typer.Exit(130) from None
+        progress.update(task, completed=1.0)
+    netcdf.write_dataset(output, table)
+    console.print(f"wrote {output}: {um.size} wavelengths")
+    if not plot:
+        return
+    _draw(output.with_suffix(".png"), lambda f: plot_devices.wire_grid_overview(f, table), console)
+    if not wire_grid.can_solve():  # the paper's Figures 5 and 10 need fields, 6 to 9 the table alone
+        console.print(f"no field maps: {missing_extra('ngsolve', 'em', 'solve fields')}")
+        return
+    maps, title = wire_grid.field_maps(grid, field_um), f"{grid.wires} wires every {grid.period_nm:g} nm"
+    for name, draw in (("density", plot_devices.cross_section), ("fields", plot_devices.field_at_angle)):
+        picture = output.with_name(f"{output.stem}_{name}.png")
+        _draw(picture, lambda f, draw=draw: draw(f, maps, title), console, (13, 5))
 
 
 @app.command("etalon")
 def solve_etalon(
-    design: Annotated[Path, typer.Argument(help="TOML file of an etalon; an empty one is the default")],
-    output: Output,
-    plot: Plot = False,
+    design: Annotated[Path, argument("TOML file of an etalon; an empty one is the default")],
+    output: OutputOption,
+    plot: PlotOption = False,
 ) -> None:
     """Transmittance of a tunable etalon over gap and wavelength, its peaks and drive voltages."""
     made = validate_design(EtalonDesign, read_toml(design, "design"))
     made = made.model_copy(update={"metal": made.metal.resolve_files(design.parent)})
-    check_folder(output)
+    check_output(output)
     table = etalon.tabulate(made)
     netcdf.write_dataset(output, table)
-    console = Console()
+    console = open_console()
     best = table.isel(peak_wavelength=int(table["peak_transmittance"].argmax("peak_wavelength")))
     console.print(
         f"wrote {output}: {table.sizes['gap']} gaps × {table.sizes['wavelength']} wavelengths; best peak "
-        f"{float(best['peak_transmittance']):.2f} at {float(best['peak_wavelength']):.2f} µm",
-        soft_wrap=True,
+        f"{float(best['peak_transmittance']):.2f} at {float(best['peak_wavelength']):.2f} µm"
     )
     if plot:
-        _draw(output.with_suffix(".png"), plot_devices.etalon_overview, table, console)
+        _draw(output.with_suffix(".png"), lambda f: plot_devices.etalon_overview(f, table), console)
 
 
 @app.command("micromirror")
 def solve_micromirror(
-    design: Annotated[Path, typer.Argument(help="TOML file of a micromirror; an empty one is the default")],
-    output: Output,
-    plot: Plot = False,
-    model: Annotated[
-        Path | None, typer.Option("--glb", help="Write the superpixel as a 3-D model, too (extra `em`)")
-    ] = None,
-    grid: Annotated[
-        Path | None, typer.Option(help="TOML file of the model's polarizers [default: the paper's grid A]")
-    ] = None,
-    exaggeration: Annotated[
-        float, typer.Option(min=0, max=1e6, help="Factor on the plate's deflection in the 3-D model")
-    ] = 1.0,
-    polarizer: Annotated[
-        Path | None,
-        typer.Option(help="Output of `device wiregrid` for the ray picture [default: an ideal polarizer]"),
-    ] = None,
-    f_number: Annotated[
-        float, typer.Option(min=0.5, max=64, help="Of the lens, and of the relay behind the mirror")
-    ] = 5.6,
+    design: Annotated[Path, argument("TOML file of a micromirror; an empty one is the default")],
+    output: OutputOption,
+    plot: PlotOption = False,
+    model: Annotated[Path | None, option("3-D model to write, .glb (extra `em`)", "--glb")] = None,
+    grid: Annotated[Path | None, option("TOML file of the model's wire grid [default: grid A]")] = None,
+    exaggeration: Annotated[float, option("Factor on deflections in the 3-D model", min=0, max=1e6)] = 1.0,
+    polarizer: Annotated[Path | None, option("Output of `device wiregrid` [default: ideal]")] = None,
+    f_number: Annotated[float, option("F-number of lens and relay", min=0.5, max=64)] = 5.6,
 ) -> None:
     """Rest position, pull-in, modes, step response, bow, heat and scatter of a micromirror.
 
     Bow and heat need finite elements (extra `em`); the rest is written without them.
     """
     made = validate_design(MicromirrorDesign, read_toml(design, "design"))
-    for path in (output, *([model] if model else [])):
-        check_folder(path)
-    if model is not None and model.suffix.lower() != ".glb":
-        raise ValueError(f"`glb` must end in .glb, got {model.name!r}")
+    check_output(output)
+    if model is not None:
+        check_output(model, ".glb", option="glb")
     wires = validate_design(WireGridDesign, read_toml(grid, "grid")) if grid else WireGridDesign()
-    console = Console()
-    through = _through(polarizer)
+    console = open_console()
+    transmittance, name = _polarizer_transmittance(polarizer)
     table = mirror.tabulate(made, f_number)
     plate = table if model is None or "deflection" in table else bend_plate(made)
     netcdf.write_dataset(output, table)
@@ -89,22 +130,27 @@ def solve_micromirror(
     console.print(
         f"wrote {output}: piston {attrs['rigid_piston_m'] * 1e9:.1f} nm, "
         f"tip {attrs['rigid_tip_deg']:.3f}°, tilt {attrs['rigid_tilt_deg']:.3f}°; "
-        f"{settling_sentence(made, table)}",
-        soft_wrap=True,
+        f"{_describe_settling(made, table)}"
     )
     if "deflection" not in table:
-        why = missing_extra("skfem", "em", "bend plates")
-        console.print(f"bow and heat are left out: {why}", soft_wrap=True, markup=False)
+        console.print(f"bow and heat are left out: {missing_extra('skfem', 'em', 'bend plates')}")
     if plot:
-        _draw(output.with_suffix(".png"), plot_devices.micromirror_overview, table, console, (16, 9))
-        _draw_rays(output.with_name(output.stem + "-rays.png"), made, f_number, through, console)
+
+        def draw_rays(figure: Figure) -> None:  # Figure 4c
+            axes = figure.subplots()
+            tilt = mirror.steepest_tilt(made)[0]
+            plot_devices.superpixel_rays(axes, tilt, transmittance, f_number=f_number)
+            axes.set_title(f"light at a mirror at its steepest tilt, and at {name}")
+
+        overview = plot_devices.micromirror_overview
+        _draw(output.with_suffix(".png"), lambda f: overview(f, table), console, (16, 9))
+        _draw(output.with_name(output.stem + "-rays.png"), draw_rays, console, (8, 7))
     if model is not None:
         atomic.write_bytes(model, superpixel_glb(made, plate, wires, exaggeration=exaggeration))
-        console.print(f"wrote {model}", soft_wrap=True)
+        console.print(f"wrote {model}")
 
 
-def settling_sentence(design: MicromirrorDesign, table: xr.Dataset) -> str:
-    """Whether the mirror settles within a frame, in words."""
+def _describe_settling(design: MicromirrorDesign, table: xr.Dataset) -> str:
     attrs, frame = table.attrs, design.drive.frame_time_ms
     if attrs["pulled_in"]:
         limit = attrs["dynamic_pull_in_v"]
@@ -114,15 +160,20 @@ def settling_sentence(design: MicromirrorDesign, table: xr.Dataset) -> str:
     return f"settles in {attrs['settling_time_s'] * 1e6:.1f} µs of a frame of {frame:g} ms"
 
 
-def _draw(path: Path, picture, table: xr.Dataset, console: Console, size: tuple[int, int] = (12, 9)) -> None:
+def _draw(
+    path: Path,
+    draw: Callable[[Figure], object],
+    console: Console,
+    size: tuple[float, float] = (12, 9),
+) -> None:
     figure = Figure(figsize=size, layout="constrained")
-    picture(figure, table)
+    draw(figure)
     images.write_figure(path, figure, dpi=120)
-    console.print(f"wrote {path}", soft_wrap=True)
+    console.print(f"wrote {path}")
 
 
-def _through(polarizer: Path | None) -> tuple[float, str]:
-    """What a polarizer passes along its axis at mid-band, and its name in words; an ideal one without."""
+def _polarizer_transmittance(polarizer: Path | None) -> tuple[float, str]:
+    """Transmittance of a polarizer along its axis at mid-band, and its name; an ideal one without a file."""
     if polarizer is None:
         return 1.0, "an ideal polarizer"
     table = netcdf.read_dataset(polarizer, "polarizer")
@@ -133,20 +184,3 @@ def _through(polarizer: Path | None) -> tuple[float, str]:
         )
     one = table.isel(wavelength=table.sizes["wavelength"] // 2)
     return float(one["pass_transmittance"]), f"a wire grid at {float(one['wavelength']):.2f} µm"
-
-
-def _draw_rays(
-    path: Path,
-    design: MicromirrorDesign,
-    f_number: float,
-    through: tuple[float, str],
-    console: Console,
-) -> None:
-    """The rays of Figure 4c with the mirror at its steepest tilt; a real polarizer at mid-band."""
-    passed, what = through
-    figure = Figure(figsize=(8, 7), layout="constrained")
-    axes = figure.subplots()
-    plot_devices.superpixel_rays(axes, mirror.steepest_tilt(design)[0], passed, f_number=f_number)
-    axes.set_title(f"light at a mirror at its steepest tilt, and at {what}")
-    images.write_figure(path, figure, dpi=120)
-    console.print(f"wrote {path}", soft_wrap=True)

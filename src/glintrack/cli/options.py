@@ -1,22 +1,55 @@
-"""Options that commands share: help, cases, areas, outputs."""
+"""Options, consoles, tables and progress bars that commands share."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 import typer.core
+from rich.box import SIMPLE
 from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 STYLE: dict = {
     "add_completion": False,
     "pretty_exceptions_enable": False,
     "rich_markup_mode": "markdown",  # units in brackets, as [m], are markup to "rich" and would vanish
 }
+Area = tuple[float, float, float, float]  # west, south, east, north
+BAR_WIDTH = 10  # characters of a progress bar; with its texts it fits into 80 columns
+EXIT_CODES = {"no": 1, "undecided": 3}  # of a requirement that is not met
+
+
+def option(help: str, *names: str, **limits: Any) -> Any:
+    """Describe an option of a command; see `typer.Option`."""
+    return typer.Option(*names, help=help, **limits)
+
+
+def argument(help: str, **options: Any) -> Any:
+    """Describe an argument of a command; see `typer.Argument`."""
+    return typer.Argument(help=help, **options)
+
+
+CaseArgument = Annotated[str, argument("Case file (TOML), or a packaged case: quickstart, braunschweig")]
+ResultArgument = Annotated[Path, argument("Folder that `glintrack run` wrote")]
+OutsidePathsOption = Annotated[
+    bool, option("Allow file paths outside the case's folder", "--allow-outside-paths")
+]
+BaseOption = Annotated[str | None, option("Case to compare with [default: the packaged case of its name]")]
+RequireOption = Annotated[
+    list[str] | None,
+    option(
+        "Required score, in quotes: 'custody>=0.8' or 'pan.false_per_km2<=40'; repeatable. "
+        "Exit code 0: met, 1: not met, 3: undecided",
+        "--require",
+        metavar="SCORE>=NUMBER",
+    ),
+]
 
 
 def group_with_default(command: str) -> type[typer.core.TyperGroup]:
-    """A group of commands whose words mean one of them where they name none."""
+    """Group of commands that calls one of them if the first word names none."""
 
     class WithDefault(typer.core.TyperGroup):
         def parse_args(self, ctx, args):
@@ -27,40 +60,80 @@ def group_with_default(command: str) -> type[typer.core.TyperGroup]:
     return WithDefault
 
 
-CaseArgument = Annotated[
-    str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
-]
-OutsidePathsOption = Annotated[
-    bool,
-    typer.Option("--allow-outside-paths", help="Allow file paths outside the file's own folder"),
-]
-ResultArgument = Annotated[Path, typer.Argument(help="A folder that `glintrack run` wrote")]
-BaseOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Case to compare the design with [default: the packaged case of that name, or defaults]"
-    ),
-]
+def command_app(help: str | None = None, default: str | None = None) -> typer.Typer:
+    """Application for one command, or, with a help text, for a group of them with an optional default."""
+    return typer.Typer(help=help, cls=group_with_default(default) if default else None, **STYLE)
 
 
-def command_app(help: str | None = None) -> typer.Typer:
-    """An empty application for one command, or, with a help text, for a group of them."""
-    return typer.Typer(help=help, **STYLE)
+def open_console() -> Console:
+    """Console that prints lines without breaks and takes no text for markup."""
+    return Console(soft_wrap=True, markup=False)
 
 
-def check_folder(output: Path) -> None:
-    """Refuse, before anything is solved, a file in a folder that is not there."""
-    if not output.parent.is_dir():
-        raise ValueError(f"`output` must lie in an existing folder, got {output}")
+def make_table(
+    title: str | None, headings: Sequence[str], rows: Iterable[Sequence[Any]], left: int = 1, **options: Any
+) -> Table:
+    """Table whose first ``left`` columns are aligned to the left; without headings if there are none."""
+    options = {"box": SIMPLE, **options}
+    table = Table(title=title, title_justify="left", show_header=bool(headings), **options)
+    for k, heading in enumerate(headings):
+        table.add_column(heading, justify="left" if k < left else "right")
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
-def check_file(output: Path) -> None:
-    """Refuse a file that cannot be put in its place before anything is made."""
-    if output.is_dir() or not output.parent.is_dir():
-        raise ValueError(f"`output` must be a file in an existing folder, got {output}")
+class Bar(Progress):
+    """Progress bar on a terminal; elsewhere a line for each tenth of the work.
+
+    Parameters
+    ----------
+    columns
+        Columns of the bar; by default description, bar and remaining time.
+    transient
+        Remove the bar at the end.
+    """
+
+    def __init__(self, console: Console, *columns: ProgressColumn, transient: bool = False):
+        shown = columns or (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+        super().__init__(*shown, console=console, transient=transient, disable=not console.is_terminal)
+        self._tenths: dict[TaskID, int] = {}
+
+    def add_task(self, description: str, *args: Any, **options: Any) -> TaskID:
+        """Add a task; see `rich.progress.Progress.add_task`."""
+        if self.disable:
+            self.console.print(description, markup=False, soft_wrap=True)
+        return super().add_task(description, *args, **options)
+
+    def update(self, task_id: TaskID, **changes: Any) -> None:
+        """Update a task; its field ``left`` ends its line where the bar is a line."""
+        super().update(task_id, **changes)
+        task = next(task for task in self.tasks if task.id == task_id)
+        tenths = int(10 * task.completed / task.total + 1e-9) if task.total else 0
+        if self.disable and tenths > self._tenths.get(task_id, 0):
+            self._tenths[task_id] = tenths
+            texts = (task.description, f"{10 * tenths} %", task.fields.get("left"))
+            self.console.print(", ".join(filter(None, texts)), markup=False, soft_wrap=True)
+
+
+def check_output(path: Path, *suffixes: str, option: str = "output") -> None:
+    """Refuse, before any work, a file of another ending or in a folder that does not exist."""
+    if suffixes and path.suffix.lower() not in suffixes:
+        known = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
+        raise ValueError(f"`{option}` must end in {known}, got {path.name!r}")
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise ValueError(f"`{option}` must be a file in an existing folder, got {path}")
 
 
 def print_notes(console: Console, notes: Iterable[str]) -> None:
     """Print what is missing or unusual about a result."""
     for note in notes:
-        console.print(f"note: {note}", markup=False)
+        console.print(f"note: {note}")
+
+
+def check_answers(answers: Iterable[str]) -> None:
+    """Exit with 1 if a requirement's answer is ``no``, with 3 if one is ``undecided``."""
+    found = set(answers)
+    for answer, code in EXIT_CODES.items():
+        if answer in found:
+            raise typer.Exit(code)

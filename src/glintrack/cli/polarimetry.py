@@ -2,15 +2,13 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-import typer
 import xarray as xr
-from rich.console import Console
 from rich.progress import track as progress
 
-from glintrack.cli.options import command_app
+from glintrack.cli.options import argument, command_app, open_console, option
 from glintrack.core.arrays import Array
 from glintrack.core.designs import validate_design
 from glintrack.io import atomic, images, netcdf
@@ -19,59 +17,34 @@ from glintrack.results.figures.frame import aop_colours, dolp_colours, radiance_
 from glintrack.sensor import RawDesign, measure_polarization, read_analysers
 
 app = command_app()
-# as `sensor.layouts` has it, which takes seconds to load
-Demosaicker = Literal["superpixel", "bilinear", "ppid", "eari"]
 
 
 @app.command()
 def polarimetry(
-    raw: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Raw mosaics of one camera: 8- to 16-bit TIFF, PNG, NumPy .npy, or folders of them"
-        ),
-    ],
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", help="New folder: NAME.nc, NAME.tif (COG) and pictures of each raw"),
-    ],
+    raw: Annotated[list[Path], argument("Raw mosaics of one camera (.tif, .png, .npy), or folders of them")],
+    output: Annotated[Path, option("New folder: NetCDF, GeoTIFF and images of each raw", "-o", "--output")],
     layout: Annotated[
         str,
-        typer.Option(
-            help="Superpixel: 0-45-90-135 (Polarsens), mirror-0-60-120, or its rows, as '90 45 / 135 0' [deg]"
-        ),
+        option("Superpixel: 0-45-90-135 (Polarsens), mirror-0-60-120, or its rows, as '90 45 / 135 0' [deg]"),
     ] = "0-45-90-135",
-    demosaic: Annotated[Demosaicker, typer.Option(help="How elements come to one place")] = "bilinear",
-    black: Annotated[float, typer.Option(help="Count without light")] = 0.0,
-    white: Annotated[
-        float | None, typer.Option(help="Count of a full element [default: by the bits that the frame fills]")
-    ] = None,
-    gain: Annotated[
-        float | None,
-        typer.Option(
-            help="W m⁻² sr⁻¹ µm⁻¹ a count, of unpolarized light under a polarizer [default: stay counts]"
-        ),
-    ] = None,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(help="NetCDF: analyser (y, x, stokes) of every element, perhaps dark (y, x)"),
-    ] = None,
-    dark_noise: Annotated[
-        float, typer.Option("--dark-noise", help="RMS of an element in the dark [count]: masks DoLP and AoP")
-    ] = 1.0,
-    saturated: Annotated[
-        float, typer.Option(help="Share of full elements above which to refuse a raw")
-    ] = 0.05,
-    rate_hz: Annotated[
-        float | None, typer.Option("--rate", help="Frame rate [Hz]: writes time_s, which `track` reads")
-    ] = None,
+    demosaic: Annotated[
+        Literal["superpixel", "bilinear", "ppid", "eari"], option("Demosaicking method")
+    ] = "bilinear",
+    black: Annotated[float, option("Count without light")] = 0.0,
+    white: Annotated[float | None, option("Count of a saturated element [default: by the bits used]")] = None,
+    gain: Annotated[float | None, option("W m⁻² sr⁻¹ µm⁻¹ per count [default: keep counts]")] = None,
+    calibration: Annotated[Path | None, option("NetCDF file: analyser (y, x, stokes), dark (y, x)")] = None,
+    dark_noise: Annotated[float, option("RMS noise in the dark [count]; masks DoLP", "--dark-noise")] = 1.0,
+    saturated: Annotated[float, option("Share of saturated elements above which a raw is refused")] = 0.05,
+    rate_hz: Annotated[float | None, option("Frame rate [Hz], for times of the frames", "--rate")] = None,
 ) -> None:
     """Measure polarization in raw mosaics of a camera: Stokes vectors, DoLP and AoP.
 
-    Superpixels that use a full element are NaN.
+    Superpixels that use a saturated element are NaN.
     """
-    values: dict[str, Any] = {
-        "layout": _layout(layout),
+    rows = [[_parse_element(word) for word in re.split(r"[\s,]+", row.strip())] for row in layout.split("/")]
+    values = {
+        "layout": rows if "/" in layout else layout,
         "demosaic": demosaic,
         "black_level": black,
         "white_level": white,
@@ -82,40 +55,38 @@ def polarimetry(
     design = validate_design(RawDesign, values)
     if rate_hz is not None and not 0 < rate_hz <= 1e6:
         raise ValueError(f"`rate` must be greater than 0 and at most 1e6 Hz, got {rate_hz:g}")
-    known = None if calibration is None else read_analysers(calibration)
-    files, console = raw_files(raw), Console()
+    analysers = None if calibration is None else read_analysers(calibration)
+    files, console = raw_files(raw), open_console()
     folder = atomic.ResultFolder(output)
     first: Array | None = None
     try:
         for k, path in enumerate(progress(files, "measuring", console=console, transient=True)):
             counts = read_raw(path)
             first = counts if first is None else first
-            _check_alike(counts, first, path, files[0])
+            _check_same_camera(counts, first, path, files[0])
             time_s = None if rate_hz is None else k / rate_hz
-            frame = measure_polarization(counts, design, known, time_s or 0.0, path)
+            frame = measure_polarization(counts, design, analysers, time_s or 0.0, path)
             _write(folder.partial, path.stem, frame, time_s)
-            _say(console, path, frame)
+            dolp = frame["dolp"].values[np.isfinite(frame["dolp"].values)]
+            median = f"median DoLP {np.median(dolp):.3f}" if dolp.size else "no DoLP above its floor"
+            size, full = " × ".join(map(str, frame["dolp"].shape[::-1])), 100 * frame.attrs["saturated_share"]
+            console.print(
+                f"{path.name}: {size} superpixels, {median}, {full:.2g} % of the elements saturated"
+            )
     except BaseException:
         folder.discard()
         raise
-    console.print(f"wrote {folder.publish()}: {len(files)} frames", soft_wrap=True, markup=False)
+    console.print(f"wrote {folder.publish()}: {len(files)} frames")
 
 
-def _layout(text: str) -> str | list[list[float | str]]:
-    """A name, or the rows of a superpixel."""
-    if "/" not in text:
-        return text
-    return [[_element(word) for word in re.split(r"[\s,]+", row.strip())] for row in text.split("/")]
-
-
-def _element(word: str) -> float | str:
+def _parse_element(word: str) -> float | str:
     try:
         return float(word)
     except ValueError:
         return word
 
 
-def _check_alike(counts: Array, first: Array, path: Path, first_path: Path) -> None:
+def _check_same_camera(counts: Array, first: Array, path: Path, first_path: Path) -> None:
     """Refuse raws that no one camera has taken with one setting."""
     for what, mine, other in (
         ("bit depth", f"{8 * counts.dtype.itemsize} bits", f"{8 * first.dtype.itemsize} bits"),
@@ -132,23 +103,10 @@ def _write(folder: Path, stem: str, frame: xr.Dataset, time_s: float | None) -> 
     netcdf.write_dataset(folder / f"{stem}.nc", frame)
     images.write_polarization(folder / f"{stem}.tif", frame, time_s)
     degree, angle = frame["dolp"].values, frame["aop"].values
-    s0 = frame["stokes_radiance"].values[..., 0]
-    for name, colours in (
-        ("s0", radiance_colours(s0)[0]),
-        ("dolp", dolp_colours(degree)[0]),
-        ("aop", aop_colours(angle, degree, 0.0)[0]),
-    ):
-        images.write_picture(folder / f"{stem}_{name}.png", colours)
-
-
-def _say(console: Console, path: Path, frame: xr.Dataset) -> None:
-    degree = frame["dolp"].values
-    known = degree[np.isfinite(degree)]
-    middle = f"median DoLP {np.median(known):.3f}" if known.size else "no DoLP above its floor"
-    full = 100 * frame.attrs["saturated_share"]
-    rows, columns = degree.shape
-    console.print(
-        f"{path.name}: {columns} × {rows} superpixels, {middle}, {full:.2g} % of the elements full",
-        soft_wrap=True,
-        markup=False,
-    )
+    colours = {
+        "s0": radiance_colours(frame["stokes_radiance"].values[..., 0]),
+        "dolp": dolp_colours(degree),
+        "aop": aop_colours(angle, degree, 0.0),
+    }
+    for name, (picture, *_) in colours.items():
+        images.write_picture(folder / f"{stem}_{name}.png", picture)

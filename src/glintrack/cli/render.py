@@ -1,17 +1,15 @@
-"""``glintrack render``: one frame of a case, to look at or to work with."""
+"""``glintrack render``: one frame of a case, as a picture or as data."""
 
 from pathlib import Path
 from typing import Annotated, cast
 
 import numpy as np
-import typer
 from rich.console import Console
 
 from glintrack.case.build import trace_frame
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.cli.options import CaseArgument, command_app
-from glintrack.cli.progress import Bar
+from glintrack.cli.options import Bar, CaseArgument, command_app, open_console, option
 from glintrack.core.records import RasterLayout
 from glintrack.io import images, raster
 from glintrack.render.frame import FrameView, Product, cube_blocks, cube_layout, render_product
@@ -21,8 +19,6 @@ from glintrack.stokes import dolp
 
 _PICTURES = (".png", ".jpg", ".jpeg")
 Bands = tuple[tuple[float, float], ...]
-
-
 app = command_app()
 
 
@@ -31,64 +27,53 @@ def render(
     case: CaseArgument,
     output: Annotated[
         Path,
-        typer.Option(
+        option(
+            "File to write: .png or .jpg for a picture; .tif, .hdr (ENVI), .nc or .zarr for data",
             "-o",
             "--output",
-            help="File to write: .png or .jpg to look at; .tif, .hdr (ENVI), .nc or .zarr to work with",
         ),
     ],
-    frame: Annotated[int, typer.Option(help="Which frame of the flight, from 0")] = 0,
-    rgb: Annotated[bool, typer.Option("--rgb", help="Natural colour (the default)")] = False,
-    band: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Mean radiance I, Q, U over A:B [µm]; repeatable; with --dolp, --aop or --cube their band"
-        ),
-    ] = None,
-    degree: Annotated[bool, typer.Option("--dolp", help="Degree of linear polarization")] = False,
-    angle: Annotated[bool, typer.Option("--aop", help="Angle of polarization")] = False,
-    cube: Annotated[
-        bool, typer.Option("--cube", help="Every wavelength and I, Q, U, written in blocks")
-    ] = False,
-    ortho: Annotated[bool, typer.Option("--ortho", help="On the ground grid, with its CRS")] = False,
-    gsd: Annotated[
-        float | None, typer.Option(min=0.05, help="Cell of the ground grid [m] [default: the case's]")
-    ] = None,
+    frame: Annotated[int, option("Index of the frame, from 0")] = 0,
+    rgb: Annotated[bool, option("Natural colour (the default)", "--rgb")] = False,
+    band: Annotated[list[str] | None, option("Mean radiance I, Q, U over A:B [µm]; repeatable")] = None,
+    degree: Annotated[bool, option("Degree of linear polarization", "--dolp")] = False,
+    angle: Annotated[bool, option("Angle of polarization", "--aop")] = False,
+    cube: Annotated[bool, option("I, Q, U at every wavelength", "--cube")] = False,
+    ortho: Annotated[bool, option("Rectify onto the ground grid", "--ortho")] = False,
+    gsd: Annotated[float | None, option("Cell of the grid [m] [default: the case's]", min=0.05)] = None,
 ) -> None:
-    """Render one frame as the lens receives it. Bands in µm, radiance in W m⁻² sr⁻¹ µm⁻¹, angles in rad."""
-    bands = tuple(_band(text) for text in band or ())
-    wanted = _wanted(rgb, degree, angle, cube, bands)
+    """Render one frame of a case as the lens receives it.
+
+    Bands are in µm, radiance in W m⁻² sr⁻¹ µm⁻¹, angles in rad.
+    """
+    bands = tuple(_parse_band(text) for text in band or ())
+    wanted = _select_product(rgb, degree, angle, cube, bands)
     picture = output.suffix.lower() in _PICTURES
     _check_output(output, wanted, bands, picture)
     if gsd is not None and not ortho:
         raise ValueError(f"`--gsd` must be given with --ortho, got {gsd:g} without it")
     design = Case.from_toml(find_case(case))
-    console = Console()
-    try:
-        with console.status("building the city and tracing …"):
-            view = trace_frame(design, frame, ortho, gsd)
-        if wanted == "cube":
-            layout = _write_cube(output, view, bands, console)
+    console = open_console()
+    with console.status("building the city and tracing …"):
+        view = trace_frame(design, frame, ortho, gsd)
+    if wanted == "cube":
+        layout = _write_cube(output, view, bands, console)
+    else:
+        with console.status("shading …"):
+            layout, values = render_product(view, cast(Product, wanted), bands)
+            of_aop = wanted == "aop" and picture
+            polarized = dolp(render_product(view, "radiance", bands)[1]) if of_aop else None
+        if picture:
+            _draw(output, design.name, view, layout, values, polarized)
         else:
-            with console.status("shading …"):
-                layout, values = render_product(view, cast(Product, wanted), bands)
-                polarized = (
-                    dolp(render_product(view, "radiance", bands)[1]) if wanted == "aop" and picture else None
-                )
-            if picture:
-                _draw(output, design.name, view, layout, values, polarized)
-            else:
-                with raster.raster_writer(output, layout) as write:
-                    write(0, 0, values)
-    except KeyboardInterrupt:
-        Console(stderr=True).print("glintrack: interrupted, nothing written")
-        raise typer.Exit(130) from None
+            with raster.raster_writer(output, layout) as write:
+                write(0, 0, values)
     size = f"{layout.columns} × {layout.rows}"
     bands_said = "" if picture else f", {layout.count} band{'s' if layout.count > 1 else ''}"
-    console.print(f"wrote {output}: {size} pixels{bands_said}", soft_wrap=True, markup=False)
+    console.print(f"wrote {output}: {size} pixels{bands_said}")
 
 
-def _band(text: str) -> tuple[float, float]:
+def _parse_band(text: str) -> tuple[float, float]:
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
@@ -98,11 +83,11 @@ def _band(text: str) -> tuple[float, float]:
     return low, high
 
 
-def _wanted(rgb: bool, degree: bool, angle: bool, cube: bool, bands: Bands) -> str:
+def _select_product(rgb: bool, degree: bool, angle: bool, cube: bool, bands: Bands) -> str:
     flags = {"rgb": rgb, "dolp": degree, "aop": angle, "cube": cube}
     given = [name for name, flag in flags.items() if flag]
     if len(given) > 1:
-        raise ValueError(f"`render` must be asked for one product, got --{' and --'.join(given)}")
+        raise ValueError(f"`render` must get one product, got --{' and --'.join(given)}")
     if given == ["rgb"] and bands:
         raise ValueError("`--rgb` must be given without --band, got both")
     if given == ["cube"] and len(bands) > 1:
@@ -119,19 +104,13 @@ def _check_output(output: Path, wanted: str, bands: Bands, picture: bool) -> Non
         raise ValueError(f"`output` must end in one of {suffixes}, got {output.name!r}")
     if picture and len(bands) > 1:
         raise ValueError(f"`--band` must be given once for a picture, got {len(bands)}")
-    if picture:
-        raster.check_place(output)
-    else:
-        raster.output_files(output)
+    (raster.check_place if picture else raster.output_files)(output)
 
 
 def _write_cube(output: Path, view: FrameView, bands: Bands, console: Console) -> RasterLayout:
     range_um = bands[0] if bands else None
     layout = cube_layout(view, range_um)
-    with (
-        raster.raster_writer(output, layout) as write,
-        Bar(console) as progress,
-    ):
+    with raster.raster_writer(output, layout) as write, Bar(console) as progress:
         task = progress.add_task("writing the cube", total=layout.rows * len(layout.channels))
         for row, channel, values in cube_blocks(view, layout, range_um):
             write(row, channel, values)

@@ -1,60 +1,94 @@
-"""``glintrack report``: a result or a study as one page."""
+"""``glintrack report``, ``view`` and ``video``: show a result as a page, in the browser or as a film."""
 
 from pathlib import Path
 from typing import Annotated
 
-import typer
-from rich.console import Console
 from rich.progress import track as progress
 
-from glintrack.cli.options import BaseOption, check_file, command_app, print_notes
+from glintrack.cli.options import (
+    BaseOption,
+    ResultArgument,
+    argument,
+    check_output,
+    command_app,
+    open_console,
+    option,
+    print_notes,
+)
 from glintrack.io import atomic
-from glintrack.report import build_page
+from glintrack.report import Composite, build_page, serve_result, write_video
 from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
 from glintrack.results.read import read_result
 
-app = command_app()
-AnyArgument = Annotated[
-    list[Path],
-    typer.Argument(metavar="RESULT", help="A folder that `glintrack run` or `glintrack study` wrote"),
-]
+app, view_app, video_app = command_app(), command_app(), command_app()
 
 
 @app.command()
 def report(
-    results: AnyArgument,
-    output: Annotated[Path, typer.Option("-o", "--output", help="HTML file to write")] = Path("report.html"),
+    results: Annotated[
+        list[Path], argument("Folder that `glintrack run` or `glintrack study` wrote", metavar="RESULT")
+    ],
+    output: Annotated[Path, option("HTML file to write", "-o", "--output")] = Path("report.html"),
     base: BaseOption = None,
-    runs: Annotated[
-        bool, typer.Option("--runs", help="Of a study: write the page of every finished run too, and link it")
-    ] = False,
+    runs: Annotated[bool, option("For a study: write the page of every run too", "--runs")] = False,
 ) -> None:
-    """Write one page that shows a run or a study and opens anywhere, without a network."""
-    if output.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"`output` must end in .html, got {output.name!r}")
-    check_file(output)
+    """Write one HTML page about a run or a study; it opens without a network."""
+    check_output(output, ".html", ".htm")
     if len(results) > 1:
         raise ValueError(
             f"`report` must get one result, got {len(results)} (two designs are compared, with intervals, by "
             "`glintrack study`: docs/guide/study.md)"
         )
-    (result,) = results
-    console = Console(soft_wrap=True)
+    (result,), console = results, open_console()
     if is_study(result):
-        if runs:
-            _write_runs(result, base)
+        cases = sorted(p for p in (result / "cases").glob("[!.]*") if (p / "result.nc").is_file())
+        for case in progress(cases, "pages of runs") if runs else ():
+            atomic.write_text(case / RUN_PAGE, build_page(read_result(case), base))
         atomic.write_text(output, build_study_page(result, output.parent))
-        console.print(f"wrote {output}: links lead to {result / 'cases'}", markup=False)
+        console.print(f"wrote {output}: links lead to {result / 'cases'}")
         return
     found = read_result(result)
     text = build_page(found, base)
     atomic.write_text(output, text)
     print_notes(console, found.notes)
-    console.print(f"wrote {output}: {len(text.encode()) / 1e6:.1f} MB", markup=False)
+    console.print(f"wrote {output}: {len(text.encode()) / 1e6:.1f} MB")
 
 
-def _write_runs(study: Path, base: str | None) -> None:
-    """The page of each finished case, beside its result."""
-    cases = sorted(p for p in (study / "cases").glob("*") if (p / "result.nc").is_file())
-    for case in progress([c for c in cases if not c.name.startswith(".")], "pages of runs"):
-        atomic.write_text(case / RUN_PAGE, build_page(read_result(case), base))
+@view_app.command()
+def view(
+    result: ResultArgument,
+    port: Annotated[int, option("Port; 0 for any free one", min=0, max=65535)] = 8765,
+    host: Annotated[str, option("Address to listen on; others than loopback are public")] = "127.0.0.1",
+    base: BaseOption = None,
+) -> None:
+    """Show a result in the browser; images are sent as they are needed. Ctrl-C ends it."""
+    found, console = read_result(result), open_console()
+    server = serve_result(found, host, port, base)
+    print_notes(console, found.notes)
+    if not server.on_loopback:
+        console.print(f"note: everybody who reaches {host} can see this result")
+    console.print(f"http://{server.server_address[0]}:{server.server_address[1]}/  (Ctrl-C ends)")
+    try:
+        server.serve_forever()
+    except KeyboardInterrupt:
+        console.print("ended")
+    finally:
+        server.server_close()
+
+
+@video_app.command()
+def video(
+    result: ResultArgument,
+    output: Annotated[Path, option("File to write: .mp4 or .gif", "-o", "--output")],
+    pictures: Annotated[str | None, option("Images, with commas: rgb, pan, dolp, aop [default: all]")] = None,
+    channel: Annotated[str | None, option("Channel of the tracks [default: the first]")] = None,
+    width: Annotated[int, option("Width of the video [pixel]", min=160, max=3840)] = 1280,
+    speed: Annotated[float, option("Speed relative to real time", min=0.05, max=100)] = 1.0,
+) -> None:
+    """Write the film of a simulation with its tracks as MP4 (extra `video`) or GIF."""
+    check_output(output)
+    found, console = read_result(result), open_console()
+    film = Composite.of(found, tuple(pictures.split(",")) if pictures is not None else (), channel, width)
+    print_notes(console, found.notes)
+    write_video(output, (film.draw(k) for k in progress(range(len(film)), "drawing")), film.rate_hz * speed)
+    console.print(f"wrote {output}: {len(film)} frame{'s' if len(film) > 1 else ''}")

@@ -1,122 +1,102 @@
-"""``glintrack score``: scores of anybody's tracks."""
+"""``glintrack score``: score any tracks against the truth."""
 
 import json
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import typer
 import xarray as xr
-from rich.console import Console
 from scipy.spatial import KDTree
 
-from glintrack.cli.options import command_app
+from glintrack.cli.options import Area, argument, check_output, command_app, open_console, option
+from glintrack.core.schema import MOVING_SPEED_M_S
 from glintrack.io import atomic
 from glintrack.io.detections import read_tracks, read_truth
+from glintrack.metrics import MATCH_DISTANCE_M
 from glintrack.results.run import score as score_files
 
 app = command_app()
 
-MATCH_DISTANCE_M, MOVING_SPEED_M_S = 5.0, 1.0  # as `metrics` has them, which takes seconds to load
-_APART_M_S = 1e6  # what a second counts, so that no place is near one of another time
-_HARDLY = 0.05  # of the vehicles held: less asks whether both files mean the same places
-_UNITS = {"_per_km2": "km⁻²", "_per_epoch": "an epoch", "_m": "m", "_s": "s"}
+_M_PER_S = 1e6  # distance that one second counts as, so that no position is near one of another time
+_MIN_PLAUSIBLE = 0.05  # completeness; below it a sentence asks whether both files have the same coordinates
+_UNITS = {"_per_km2": "km⁻²", "_per_epoch": "per epoch", "_m": "m", "_s": "s"}
 
 
 def _text(value: float) -> str:
     return "–" if value != value else f"{value:.4g}"
 
 
-def _elsewhere(tracks: xr.Dataset, truth: xr.Dataset) -> str:
-    """What would bring tracks and vehicles together, and where they lie; nothing if they do not lie apart."""
+def _coordinate_hint(tracks: xr.Dataset, truth: xr.Dataset) -> str:
+    """Sentence on how tracks and vehicles could be in different coordinates; empty if they are not."""
     place, wanted = (np.stack([of["east"].values, of["north"].values], axis=1) for of in (tracks, truth))
     low, high = wanted.min(axis=0), wanted.max(axis=0)
     room = 0.1 * (high - low) + 10.0
-    at_its_time = KDTree(np.column_stack([_APART_M_S * truth["time_s"].values, wanted]))
+    tree = KDTree(np.column_stack([_M_PER_S * truth["time_s"].values, wanted]))
 
-    def fits(other: np.ndarray) -> bool:
+    def lies_within(other: np.ndarray) -> bool:
         return bool((((other > low - room) & (other < high + room)).all(axis=1)).mean() > 0.9)
 
-    def meets(other: np.ndarray) -> bool:
-        placed = np.column_stack([_APART_M_S * tracks["time_s"].values, other])
-        return bool(
-            np.isfinite(at_its_time.query(placed, distance_upper_bound=MATCH_DISTANCE_M)[0]).mean() > 0.5
-        )
+    def lies_at_vehicles(other: np.ndarray) -> bool:
+        placed = np.column_stack([_M_PER_S * tracks["time_s"].values, other])
+        return bool(np.isfinite(tree.query(placed, distance_upper_bound=MATCH_DISTANCE_M)[0]).mean() > 0.5)
 
     remedies = {
         "are east and north exchanged?": place[:, ::-1],
         "are they in km?": 1000 * place,
         "does north run downward?": place * [1, -1],
     }
-    for holds in (meets, fits):  # a window as wide as it is high holds exchanged places too
-        if holds(place):
+    remedy = ""
+    for fits in (lies_at_vehicles, lies_within):  # exchanged coordinates may lie within a square window too
+        if fits(place):
             return ""
-        if remedy := next((words for words, changed in remedies.items() if holds(changed)), ""):
+        if remedy := next((text for text, changed in remedies.items() if fits(changed)), ""):
             break
-    told = [f"{name} {_span(p[:, 0])} m east, {_span(p[:, 1])} m north" for name, p in
-            (("tracks lie", place), ("vehicles", wanted))]  # fmt: skip
+    spans = [
+        f"{name} {at[:, 0].min():.4g} to {at[:, 0].max():.4g} m east, "
+        f"{at[:, 1].min():.4g} to {at[:, 1].max():.4g} m north"
+        for name, at in (("tracks lie", place), ("vehicles", wanted))
+    ]
     remedy = remedy or "are both in the same coordinates, in m?"
-    return f"hardly a track is a vehicle's: {'; '.join(told)} ({remedy})"
-
-
-def _area_words(truth: xr.Dataset, given: bool) -> str:
-    around = "the truth that is `inside`" if "inside" in truth else "the truth"
-    return "the area given" if given else f"the box around {around} (--area gives another)"
-
-
-def _span(values: np.ndarray) -> str:
-    return f"{values.min():.4g} to {values.max():.4g}"
+    return f"hardly a track is a vehicle's: {'; '.join(spans)} ({remedy})"
 
 
 @app.command()
 def score(
-    tracks: Annotated[Path, typer.Argument(help="tracks.csv: time_s, track_id, east_m, north_m, …")],
-    truth: Annotated[Path, typer.Argument(help="truth.csv: time_s, vehicle_id, east_m, north_m, …")],
-    area: Annotated[
-        tuple[float, float, float, float] | None,
-        typer.Option(help="West, south, east, north of the area whose vehicles count [m]"),
-    ] = None,
-    match_m: Annotated[
-        float, typer.Option("--match-m", help="A track farther from a vehicle is not its track [m]")
-    ] = MATCH_DISTANCE_M,
+    tracks: Annotated[Path, argument("CSV file of tracks: time_s, track_id, east_m, north_m, …")],
+    truth: Annotated[Path, argument("CSV file of truth: time_s, vehicle_id, east_m, north_m, …")],
+    area: Annotated[Area | None, option("West, south, east, north of the scored area [m]")] = None,
+    match_m: Annotated[float, option("Largest distance from a vehicle [m]", "--match-m")] = MATCH_DISTANCE_M,
     moving_m_s: Annotated[
-        float, typer.Option("--moving-m-s", help="A vehicle at least this fast should be tracked [m/s]")
+        float, option("Smallest speed to be tracked [m/s]", "--moving-m-s")
     ] = MOVING_SPEED_M_S,
-    output: Annotated[Path | None, typer.Option("--json", help="Write the scores to this file")] = None,
+    output: Annotated[Path | None, option("JSON file to write the scores to", "--json")] = None,
 ) -> None:
     """Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more."""
     if not match_m > 0:
         raise ValueError(f"`match-m` must be greater than 0 m, got {match_m:g}")
     if not moving_m_s >= 0:
         raise ValueError(f"`moving-m-s` must be 0 m/s or more, got {moving_m_s:g}")
-    if output is not None and output.suffix.lower() != ".json":
-        raise ValueError(f"`json` must end in .json, got {output.name!r}")
-    if output is not None and not output.absolute().parent.is_dir():
-        raise ValueError(f"`json` must lie in a folder that exists, got {output}")
+    if output is not None:
+        check_output(output, ".json", option="json")
     rows, known = read_tracks(tracks), read_truth(truth)
     scores = score_files(rows, known, area, match_m, moving_m_s)
-    console = Console()
-    if scores["completeness"] <= _HARDLY and rows.sizes.get("row"):  # NaN where no vehicle is to be held
-        said = _elsewhere(rows, known)
-        if said:
-            console.print(said, style="yellow", soft_wrap=True, highlight=False)
-    held, false = scores["completeness"], scores["false_per_epoch"]
-    share = (
-        f"no vehicle in {_area_words(known, area is not None)} is as fast as --moving-m-s: none is to be held"
-    )
-    if held == held:
-        share = f"a share of {_text(held)} of the moving vehicles is held"
+    console = open_console()
+    if scores["completeness"] <= _MIN_PLAUSIBLE and rows.sizes.get("row"):  # NaN if no vehicle moves
+        if hint := _coordinate_hint(rows, known):
+            console.print(hint, style="yellow")
+    around = "the truth that is `inside`" if "inside" in known else "the truth"
+    where = "the area given" if area is not None else f"the box around {around} (--area gives another)"
+    share = f"no vehicle in {where} is as fast as --moving-m-s: none should be tracked"
+    if (held := scores["completeness"]) == held:
+        share = f"a share of {_text(held)} of the moving vehicles is tracked"
     console.print(
-        f"{share}, the tracks' purity is {_text(scores['purity'])}, {_text(false)} tracks are false "
-        f"an epoch; areas are of {_area_words(known, area is not None)}",
-        soft_wrap=True,
-        highlight=False,
+        f"{share}; track purity is {_text(scores['purity'])}; there are {_text(scores['false_per_epoch'])} "
+        f"false tracks per epoch; areas are of {where}"
     )
     for name, value in scores.items():
         unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
-        console.print(f"{name:22s} {_text(value):>9s} {unit}".rstrip(), highlight=False)
+        console.print(f"{name:22s} {_text(value):>9s} {unit}".rstrip())
     if output is not None:
-        atomic.write_text(
-            output, json.dumps({k: None if v != v else v for k, v in scores.items()}, indent=1) + "\n"
-        )
-        console.print(f"wrote {output}", soft_wrap=True)
+        finite = {name: None if value != value else value for name, value in scores.items()}
+        atomic.write_text(output, json.dumps(finite, indent=1) + "\n")
+        console.print(f"wrote {output}")

@@ -1,4 +1,4 @@
-"""Radiance and reflectance as a display shows them: CIE XYZ to sRGB (IEC 61966-2-1)."""
+"""Colours of radiance and reflectance for a display: CIE XYZ to sRGB (IEC 61966-2-1)."""
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +13,7 @@ _D65_XYZ = np.array([0.9505, 1.0, 1.089])
 
 
 def holds_colours(wavelength_um: Float[Array, "wavelength"]) -> bool:
-    """Whether spectra on these wavelengths tell blue, green and red: from 0.45 to 0.65 µm at least."""
+    """Return True if spectra on these wavelengths include blue, green and red: 0.45 to 0.65 µm."""
     return bool(wavelength_um[0] <= _BLUE_UM and wavelength_um[-1] >= _RED_UM)
 
 
@@ -25,7 +25,7 @@ def colour_channels(wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "
 def natural_colour(
     xyz: Float[Array, "y x 3"], white_xyz: Float[Array, "3"], exposure: float | None = None
 ) -> Float[Array, "y x 3"]:
-    """sRGB picture of XYZ radiance, white-balanced to the light on the ground.
+    """Convert XYZ radiance to an sRGB picture, white-balanced to the light on the ground.
 
     Parameters
     ----------

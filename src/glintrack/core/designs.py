@@ -1,83 +1,55 @@
-"""Designs: what a user decides about one part of a case, as a frozen model that checks itself.
+"""Designs: the part of a case that describes one stage, as a frozen pydantic model that checks itself.
 
-A fault is one sentence that names the key, the requirement, what came and the remedy. Several faults are told
-at once, one a line.
+An error is one sentence with the key, the requirement, what was found and a remedy. All errors of a design
+are reported together, one on a line.
 """
 
-import ast
 import difflib
-import inspect
 import json
 import re
-import textwrap
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Self, TypeVar
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    GetJsonSchemaHandler,
-    ValidationError,
-    ValidationInfo,
-    field_validator,
-)
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, PydanticKnownError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+from pydantic_core import PydanticKnownError
 
 from glintrack.core.units import unit_of
 
 Model = TypeVar("Model", bound=BaseModel)
-DEEPEST = 64  # tables in each other, or parts of a dotted key; none of ours lies a tenth as deep
-# words of other programs for ours, by which a key begins
-_ALIKE = {
+MAX_DEPTH = 64  # of nested tables, and of dotted keys
+# words of other programs for ours, with which a key begins
+_SYNONYMS = {
     "alt": ("height", "altitude"), "altitude": ("height",), "elevation": ("height",), "z": ("height",),
     "lat": ("latitude",), "lng": ("longitude",), "lon": ("longitude",), "yaw": ("heading",),
     "x": ("east", "easting"), "y": ("north", "northing"), "east": ("easting",), "north": ("northing",),
     "width": ("columns",), "height": ("rows", "altitude"), "f": ("focal",), "pixel": ("pitch",),
     "fps": ("rate",), "haze": ("aerosol",), "duration": ("frames",),
 }  # fmt: skip
-_A_SLIP = 0.8  # likeness of two words, above which one is taken for the other misspelt
-_NO_NUMBERS = ("float_parsing", "float_type", "int_parsing", "int_type")  # of pydantic's faults
-_NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*")  # as a text
-_LIMITS = ("greater_than", "less_than")  # of pydantic's faults, how those of numbers out of range begin
-_CHOICE = re.compile(r"`[^`]+` must be (?:one of )?(?P<known>.+), got '(?P<got>[^']{1,60})'")  # of words
-_PLAIN = (
-    dict.fromkeys(("model_type", "dict_type"), "a table")
-    | dict.fromkeys(("tuple_type", "list_type"), "a list")
-    | dict.fromkeys(("bool_type", "bool_parsing"), "true or false")
-)  # by pydantic's faults
-_FEW = re.compile(r"(?:Tuple|List) should have (.+) after validation, not \d+")
-_MOST_FAULTS, _MOST_TRIED = 10, 1000  # that are told; that are put into words
+_MISSPELT = 0.8  # similarity of two words, above which one is the other misspelt
+_REQUIREMENTS = {
+    **dict.fromkeys(("model_type", "dict_type"), "a table"),
+    **dict.fromkeys(("tuple_type", "list_type"), "a list"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
+    **dict.fromkeys(("float_type", "float_parsing"), "a number"),
+    **dict.fromkeys(("int_type", "int_parsing"), "a whole number"),
+}  # of pydantic's kinds of errors
+_COUNT = re.compile(r"(?:Tuple|List) should have (.+) after validation, not \d+")
+_CHOICE = re.compile(r"`[^`]+` must be (?:one of )?(?P<known>.+), got '(?P<got>[^']{1,60})'")
+_MAX_ERRORS, _MAX_READ = 10, 1000  # that are reported, and of which sentences are made
 
 
 class Design(BaseModel):
-    """Base of every table of a case.
+    """Base of every table of a case: frozen, without unknown keys, with finite numbers only."""
 
-    It is frozen, knows its keys, takes only finite numbers, and the text under a field describes it.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """The schema with the text under each field.
-
-        Read here alone: pydantic would read the source of every design at each start, a tenth of a second.
-        """
-        schema = handler(core)
-        described = handler.resolve_ref_schema(schema)["properties"]
-        for name, text in _texts_under_fields(cls).items():
-            described[cls.model_fields[name].alias or name]["description"] = text
-        return schema
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
     @field_validator("*", mode="before")
     @classmethod
-    def _a_number(cls, value: Any, info: ValidationInfo) -> Any:
-        """A truth value and a text are no number, though pydantic takes them for what they look like."""
+    def _refuse_disguised_number(cls, value: Any, info: ValidationInfo) -> Any:
+        """Refuse texts and truth values for numbers, which pydantic would convert."""
         taken = types_of(cls, info.field_name or "")
         if (isinstance(value, str) and taken <= {int, float}) or (isinstance(value, bool) and taken == {int}):
             raise PydanticKnownError("float_type" if float in taken else "int_type")
@@ -86,7 +58,7 @@ class Design(BaseModel):
         return value
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
-        """The same design with other values of some keys, all of it checked again.
+        """Return the design with other values of some keys, checked again.
 
         Parameters
         ----------
@@ -96,37 +68,23 @@ class Design(BaseModel):
         Raises
         ------
         ValueError
-            For an unknown key (the nearest is offered) or a value out of range; every fault at once.
+            For unknown keys (the nearest is suggested) and values out of range, all together.
         """
         return validate_design(type(self), with_changes(self, changes))
 
     def explicit_values(self) -> dict[str, Any]:
-        """The values that are not left to their defaults."""
+        """Values that are not left to their defaults."""
         return {
             name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set
         }
 
 
 def types_of(model: type[BaseModel], name: str) -> set[Any]:
-    """Types that a field takes, beside none; no types for a name that is no field's."""
+    """Types that a field accepts, without None; empty if there is no such field."""
     if name not in model.model_fields:
         return set()
     annotation = model.model_fields[name].annotation
     return set(typing.get_args(annotation) or (annotation,)) - {types.NoneType}
-
-
-def _texts_under_fields(model: type[BaseModel]) -> dict[str, str]:
-    """What stands as a string after each field of a design and of its bases."""
-    texts: dict[str, str] = {}
-    for base in reversed(model.__mro__):
-        if not issubclass(base, Design) or base is Design:
-            continue
-        (written,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
-        assert isinstance(written, ast.ClassDef)
-        for field, text in pairwise(written.body):
-            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
-                texts[ast.unparse(field.target)] = inspect.cleandoc(ast.literal_eval(text.value))
-    return texts
 
 
 def validate_design(model: type[Model], values: Mapping[str, Any]) -> Model:
@@ -135,7 +93,7 @@ def validate_design(model: type[Model], values: Mapping[str, Any]) -> Model:
     Raises
     ------
     ValueError
-        With a sentence for each fault (see `describe`).
+        With a sentence for each error (see `describe`).
     """
     try:
         return model.model_validate(values)
@@ -144,71 +102,75 @@ def validate_design(model: type[Model], values: Mapping[str, Any]) -> Model:
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
-    """The faults of a validation error, a sentence and a line each."""
+    """Describe the errors of a validation, one sentence on each line."""
     sentences: dict[tuple, str] = {}
-    faults = error.errors(include_url=False)
-    for fault in faults[:_MOST_TRIED]:
-        # a value that fits none of several types is one fault, not one a type
-        sentences.setdefault(_named(model, fault["loc"]), _with_hint(_sentence(fault, model)))
-    for path in list(sentences):  # a list is at fault by what is at fault in it
+    errors = error.errors(include_url=False)
+    for one in errors[:_MAX_READ]:
+        # a value that fits none of several types is one error, not one for each type
+        sentences.setdefault(_key_path(model, one["loc"]), _suggest_choice(_sentence(one, model)))
+    for path in list(sentences):  # an error of a list is that of its items
         for outer in range(1, len(path)):
             sentences.pop(path[:outer], None)
-    told = list(dict.fromkeys(sentences.values()))
-    beyond = len(told) + max(len(faults) - _MOST_TRIED, 0) - _MOST_FAULTS
-    more = [f"and {beyond} more fault{'s' if beyond > 1 else ''}"] if beyond > 0 else []
-    return "\n".join([*(_short_sentence(one) for one in told[:_MOST_FAULTS]), *more])
-
-
-def suggest_name(name: str, known: Iterable[str]) -> str:
-    """A hint at the known name that is most like a wrong one, or at all of them."""
-    known = sorted(known)
-    near = _alike(name, known) or difflib.get_close_matches(name, known, n=1)
-    return f"did you mean `{near[0]}`?" if near else f"known are {', '.join(known)}"
-
-
-def suggest_close_name(name: str, known: Iterable[str]) -> str:
-    """A hint at the known name that is most like a wrong one, or none where no one is."""
-    hint = suggest_name(name, known)
-    return hint if hint.startswith("did you mean") else ""
-
-
-def _alike(name: str, known: list[str]) -> list[str]:
-    """Known names that a wrong one is a slip of, or that begin like it or as another program would say it."""
-    begun = [other for other in known if _begun(other) == _begun(name)]
-    return (
-        difflib.get_close_matches(name, known, n=1, cutoff=_A_SLIP)
-        or difflib.get_close_matches(name, begun, n=1, cutoff=0.0)
-        or [other for other in known if other.split("_")[0] in _ALIKE.get(name.split("_")[0], ())]
+    found = list(dict.fromkeys(sentences.values()))
+    beyond = len(found) + max(len(errors) - _MAX_READ, 0) - _MAX_ERRORS
+    shown = [text if len(text) <= 600 else f"{text[:400]} … {text[-150:]}" for text in found[:_MAX_ERRORS]]
+    return "\n".join(
+        [*shown, *([f"and {beyond} more error{'s' if beyond > 1 else ''}"] if beyond > 0 else [])]
     )
 
 
-def _nearest_key(name: str, path: tuple[str | int, ...], model: type[BaseModel]) -> str:
-    """A hint at a key of the table that a path leads to; or of another, where only that has one like it."""
+def suggest_name(name: str, known: Iterable[str]) -> str:
+    """Suggest the known name that is most like a wrong one, or list all of them."""
+    known = sorted(known)
+    near = _similar_names(name, known) or difflib.get_close_matches(name, known, n=1)
+    return f"did you mean `{near[0]}`?" if near else f"known are {', '.join(known)}"
+
+
+def _similar_names(name: str, known: list[str]) -> list[str]:
+    """Known names that a wrong one misspells, or that begin like it or with a synonym."""
+
+    def first_word(text: str) -> str:
+        return text.split("_")[0].removesuffix("s")
+
+    same_start = [other for other in known if first_word(other) == first_word(name)]
+    return (
+        difflib.get_close_matches(name, known, n=1, cutoff=_MISSPELT)
+        or difflib.get_close_matches(name, same_start, n=1, cutoff=0.0)
+        or [other for other in known if other.split("_")[0] in _SYNONYMS.get(name.split("_")[0], ())]
+    )
+
+
+def _suggest_key(name: str, path: tuple[str | int, ...], model: type[BaseModel]) -> str:
+    """Suggest a key of the table that a path leads to, or of another if only that has a similar one."""
     own = fields_at(model, path)
-    if _alike(name, own):
+    if _similar_names(name, own):
         return suggest_name(name, own)
-    keys = [key for key in _keys_of(model) if _alike(name, [key[-1]])]
+    keys = [key for key in _all_keys(model) if _similar_names(name, [key[-1]])]
     keys.sort(key=lambda key: (-difflib.SequenceMatcher(None, key[-1], name).ratio(), len(key)))
     return f"did you mean `{'.'.join(keys[0])}`?" if keys else suggest_name(name, own)
 
 
-def _begun(name: str) -> str:
-    """The first word of a key, of one or many."""
-    return name.split("_")[0].removesuffix("s")
+def _suggest_choice(sentence: str) -> str:
+    """Add the choice that a wrong word is most like, if the requirement lists words."""
+    found = _CHOICE.fullmatch(sentence)
+    words = re.split(r", | or ", found["known"]) if found else []
+    words = [word.strip("'") for word in words if re.fullmatch(r"'?[\w-]+'?", word)]
+    hint = suggest_name(found["got"], words) if found and len(words) > 1 else ""
+    return f"{sentence} ({hint})" if hint.startswith("did you mean") else sentence
 
 
-def _keys_of(model: type[BaseModel], path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+def _all_keys(model: type[BaseModel], path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
     """Paths of all keys that are no tables."""
     for name, field in model.model_fields.items():
         inner, here = model_in(field.annotation), (*path, field.alias or name)
         if inner is None:
             yield here
-        elif len(here) < DEEPEST:
-            yield from _keys_of(inner, here)
+        elif len(here) < MAX_DEPTH:
+            yield from _all_keys(inner, here)
 
 
 def fields_at(model: type[BaseModel], path: Iterable[str | int]) -> list[str]:
-    """Names that a table within a design may hold; none where the path leads to no table."""
+    """Names that a table within a design may hold; empty if the path leads to no table."""
     for part in path:
         if isinstance(part, int):
             continue
@@ -221,7 +183,7 @@ def fields_at(model: type[BaseModel], path: Iterable[str | int]) -> list[str]:
 
 
 def model_in(annotation: Any) -> type[BaseModel] | None:
-    """The table that a field holds, alone or in a list."""
+    """Table that a field holds, alone or in a list."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     if typing.get_origin(annotation) in (tuple, list, typing.Union, types.UnionType, typing.Annotated):
@@ -230,12 +192,12 @@ def model_in(annotation: Any) -> type[BaseModel] | None:
 
 
 def with_changes(value: Any, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain values of a table with the changes put in; the check tells what is no table."""
+    """Plain values of a table with changes; the validation reports what is no table."""
     values: dict[str, Any] = value.explicit_values() if isinstance(value, Design) else dict(value)
     inner: dict[str, dict[str, Any]] = {}
     for key, changed in changes.items():
         head, _, rest = key.partition(".")
-        if key.count(".") > DEEPEST:
+        if key.count(".") > MAX_DEPTH:
             raise ValueError(f"`{key[:60]}…` must name a key of a table, got one nested too deeply")
         if rest:
             inner.setdefault(head, {})[rest] = changed
@@ -247,8 +209,8 @@ def with_changes(value: Any, changes: Mapping[str, Any]) -> dict[str, Any]:
     return values
 
 
-def _named(model: type[BaseModel], path: tuple[str | int, ...]) -> tuple[str | int, ...]:
-    """The part of a fault's path that names a key, without the types that pydantic tried."""
+def _key_path(model: type[BaseModel], path: tuple[str | int, ...]) -> tuple[str | int, ...]:
+    """Part of an error's path that names a key, without the types that pydantic tried."""
     out: list[str | int] = []
     table: type[BaseModel] | None = model
     for part in path:
@@ -261,58 +223,36 @@ def _named(model: type[BaseModel], path: tuple[str | int, ...]) -> tuple[str | i
     return tuple(out)
 
 
-def _sentence(fault, model: type[BaseModel]) -> str:
-    path = tuple(part if isinstance(part, int) else _short_name(part) for part in fault["loc"])
-    key = ".".join(str(part) for part in path)
-    if fault["type"] == "extra_forbidden":
-        hint = _nearest_key(str(path[-1]), path[:-1], model)
+def _sentence(error, model: type[BaseModel]) -> str:
+    """Describe one error: key, requirement with its unit, and what was found."""
+    path = tuple(part if isinstance(part, int) else _shorten(part) for part in error["loc"])
+    key, kind = ".".join(str(part) for part in path), error["type"]
+    if kind == "extra_forbidden":
+        hint = _suggest_key(str(path[-1]), path[:-1], model)
         return f"`{key}` must be a known key, got an unknown one ({hint})"
-    if fault["type"] == "missing":
-        return f"`{key}` must be given, got only {', '.join(map(str, fault['input'])) or 'an empty table'}"
-    message = fault["msg"].removeprefix("Value error, ")
-    if fault["type"] == "value_error":
+    if kind == "missing":
+        return f"`{key}` must be given, got only {', '.join(map(str, error['input'])) or 'an empty table'}"
+    message = error["msg"].removeprefix("Value error, ")
+    if kind == "value_error":
         tables = [str(part) for k, part in enumerate(path) if fields_at(model, path[: k + 1])]
         while tables and message.startswith(f"`{tables[-1]}."):  # it names its table itself
             tables.pop()
-        named = not message.startswith("`") or (path and message.startswith(f"`{path[0]}."))
-        return message if named or not tables else f"`{'.'.join(tables)}.{message[1:]}"
-    requirement: str = _PLAIN.get(fault["type"]) or message.removeprefix("Input should be ")
-    requirement = _FEW.sub(r"a list of \1", requirement)
-    if fault["type"] in _NO_NUMBERS:
-        unit = unit_of(str(path[-1]))
-        requirement = f"{'a whole number' if 'int' in fault['type'] else 'a number'}{unit and f' in {unit}'}"
-        if _NUMBER.fullmatch(str(fault["input"])):
-            requirement += ", without quotes"
-        elif unit and re.search(r"\d", str(fault["input"])):
-            requirement += ", without its unit"
-    key, got = ".".join(str(part) for part in _named(model, path)), _short(fault["input"])
-    if fault["type"].startswith(_LIMITS) and (unit := unit_of(str(path[-1]))):
-        requirement, got = f"{requirement} {unit}", f"{got} {unit}"
+        has_key = not message.startswith("`") or (path and message.startswith(f"`{path[0]}."))
+        return message if has_key or not tables else f"`{'.'.join(tables)}.{message[1:]}"
+    requirement = _REQUIREMENTS.get(kind) or _COUNT.sub(
+        r"a list of \1", message.removeprefix("Input should be ")
+    )
+    key, got = ".".join(str(part) for part in _key_path(model, path)), _shorten(repr(error["input"]))
+    if unit := unit_of(str(path[-1])):
+        if kind.startswith(("greater_than", "less_than")):
+            requirement, got = f"{requirement} {unit}", f"{got} {unit}"
+        elif kind.startswith(("float_", "int_")):
+            requirement = f"{requirement} in {unit}"
     return f"`{key}` must be {requirement}, got {got}"
 
 
-def _with_hint(sentence: str) -> str:
-    """A fault, with the choice that a wrong word is most like, where the requirement lists words."""
-    found = _CHOICE.fullmatch(sentence)
-    if found is None:
-        return sentence
-    words = [word.strip("'") for word in re.split(r", | or ", found["known"])]
-    words = [word for word in words if re.fullmatch(r"[\w-]+", word)]
-    hint = suggest_close_name(found["got"], words) if len(words) > 1 else ""
-    return f"{sentence} ({hint})" if hint else sentence
-
-
-def _short_sentence(text: str) -> str:
-    return text if len(text) <= 600 else f"{text[:400]} … {text[-150:]}"
-
-
-def _short_name(name: str) -> str:
-    return name if len(name) <= 100 else f"{name[:99]}…"
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 100 else f"{text[:97]}…"
+def _shorten(text: str, length: int = 100) -> str:
+    return text if len(text) <= length else f"{text[: length - 1]}…"
 
 
 _OWN_NAME = re.compile(r"; (?:the |one )?``\[+[\w.]+\]+``(?: table)?(?: of a case)?")
@@ -322,6 +262,7 @@ _LIMIT_WORDS = {
     "maximum": "≤ {:g}",
     "exclusiveMaximum": "< {:g}",
 }
+_TYPE_WORDS = {"number": "", "integer": "whole", "boolean": "true | false", "string": "text"}
 
 
 @dataclass(frozen=True)
@@ -333,13 +274,13 @@ class Key:
     name
         Dotted, as in a case.
     unit
-        By the name's ending; empty for what has none.
+        Unit that the name ends in; may be empty.
     kind
-        What it takes, in words, with its range.
+        Type and range of its values.
     default
-        As TOML would have it; empty where there is none.
+        Default as in TOML; empty if there is none.
     meaning
-        The text under the field.
+        Description of the field.
     """
 
     name: str
@@ -356,15 +297,16 @@ def keys_of(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, list
     inner: list[tuple[str, type[BaseModel]]] = []
     for name, field in model.model_fields.items():
         shown = field.alias or name
-        given = schema["properties"][shown]
+        about = schema["properties"][shown]
         nested = model_in(field.annotation)
         if nested is not None:
             inner.append((f"{table}{shown}.", nested))
             if field.annotation is nested:
                 continue  # a table has no value of its own; a list of them has
-        default = "" if field.is_required() else _short_default(given.get("default"))
-        meaning = " ".join(given.get("description", "").split())
-        own.append(Key(f"{table}{shown}", unit_of(name), kind_of(given), default, meaning))
+        default = about.get("default")
+        text = "" if default is None else json.dumps(default, ensure_ascii=False, default=str)
+        meaning = " ".join(about.get("description", "").split())
+        own.append(Key(f"{table}{shown}", unit_of(name), kind_of(about), _shorten(text, 40), meaning))
     if own:
         yield table[:-1], own
     for path, nested in inner:
@@ -372,7 +314,7 @@ def keys_of(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, list
 
 
 def tables_of(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, str]]:
-    """Tables of a design in the order of `keys_of`, each with the first sentence of what it holds."""
+    """Tables of a design in the order of `keys_of`, each with the first sentence of its docstring."""
     if table:
         said = " ".join((model.__doc__ or "").split("\n\n")[0].split())
         yield table[:-1], _OWN_NAME.sub("", said).rstrip(".")
@@ -382,31 +324,23 @@ def tables_of(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, st
             yield from tables_of(nested, f"{table}{field.alias or name}.")
 
 
-def kind_of(given: dict[str, Any]) -> str:
-    """What a key takes by its JSON schema, in words, with its range."""
-    if "$ref" in given:
+def kind_of(schema: dict[str, Any]) -> str:
+    """Type and range of a key's values in words, from its JSON schema."""
+    if "$ref" in schema:
         return "table"
-    if "enum" in given:
-        return " | ".join(str(value) for value in given["enum"])
-    if "const" in given:
-        return str(given["const"])
-    if "anyOf" in given:
-        outer = {name: given[name] for name in _LIMIT_WORDS if name in given}
-        kinds = [kind_of({**outer, **one}) for one in given["anyOf"] if one.get("type") != "null"]
+    if "enum" in schema or "const" in schema:
+        return " | ".join(map(str, schema.get("enum", [schema.get("const")])))
+    if "anyOf" in schema:
+        outer = {name: schema[name] for name in _LIMIT_WORDS if name in schema}
+        kinds = [kind_of({**outer, **one}) for one in schema["anyOf"] if one.get("type") != "null"]
         return " or ".join(dict.fromkeys(kinds))
-    limits = ", ".join(text.format(given[key]) for key, text in _LIMIT_WORDS.items() if key in given)
-    kind = given.get("type", "value")
+    limits = ", ".join(text.format(schema[key]) for key, text in _LIMIT_WORDS.items() if key in schema)
+    kind = schema.get("type", "value")
     if kind == "array":
-        items = given.get("items") or next(iter(given.get("prefixItems", [])), {})
-        count = f"{len(given['prefixItems'])} of " if "prefixItems" in given else "list of "
+        items = schema.get("items") or next(iter(schema.get("prefixItems", [])), {})
+        count = f"{len(schema['prefixItems'])} of " if "prefixItems" in schema else "list of "
         return f"{count}{kind_of(items)}"
     if kind == "object":
-        inner = given.get("additionalProperties")
+        inner = schema.get("additionalProperties")
         return f"table of {kind_of(inner)}" if isinstance(inner, dict) else "table"
-    words = {"number": "", "integer": "whole", "boolean": "true | false", "string": "text"}
-    return f"{words.get(kind, kind)} {limits}".strip() or "number"
-
-
-def _short_default(value: Any) -> str:
-    text = "" if value is None else json.dumps(value, ensure_ascii=False, default=str)
-    return text if len(text) <= 40 else f"{text[:39]}…"
+    return f"{_TYPE_WORDS.get(kind, kind)} {limits}".strip() or "number"

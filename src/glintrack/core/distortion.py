@@ -1,6 +1,6 @@
-"""Lens distortion by Brown's polynomials and an uneven scale.
+"""Lens distortion: Brown's polynomials, affinity and skew.
 
-Brown's are in the order and with the signs of OpenCV and OpenDroneMap, the scale is as Metashape has it.
+Brown's coefficients have the order and signs of OpenCV and OpenDroneMap, the others those of Metashape.
 
 Coordinates are tangents of the field angle, x to the image's right and y *down*: a pinhole's image over its
 focal length.
@@ -16,7 +16,7 @@ from pydantic import Field
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
 
-NO_DISTORTION = np.zeros(0)  # what kernels take for a pinhole
+NO_DISTORTION = np.zeros(0)  # coefficients of a pinhole, for kernels
 _STEPS = 30  # Newton's, at most
 _CLOSE_SQUARE = 1e-26  # of a step's length; an element is some 1e-4
 
@@ -26,7 +26,7 @@ def _coefficient(description: str) -> float:
 
 
 class Distortion(Design):
-    """Brown's coefficients, affinity and skew. Zero is a pinhole.
+    """Coefficients of a lens's distortion; all zero is a pinhole.
 
     With r² = x² + y², the image is at x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²) and
     y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y; of these x', y' it then is at
@@ -71,7 +71,7 @@ def distort(x, y, c):
 
 @nb.njit(cache=True)
 def undistort(xd, yd, c):
-    """The pinhole's image that `distort` maps to (xd, yd), by Newton's iteration; NaN if there is none."""
+    """Invert `distort` at (xd, yd) by Newton's iteration; NaN if no image of a pinhole leads there."""
     if not abs(1.0 + c[6]) > 1e-12:
         return np.nan, np.nan
     xd = (xd - c[7] * yd) / (1.0 + c[6])

@@ -1,7 +1,7 @@
-"""The program's version, how to cite it, and optional packages: the line that installs the missing ones.
+"""Version and citation of the program, and the shell command that installs a missing extra.
 
-The line names where this installation came from (PEP 610): a clone, an archive or a registry. Each installs
-its extras differently, and ``pip install 'glintrack[…]'`` works for the last alone.
+The command depends on the origin of this installation (PEP 610): a clone, an archive or a registry.
+``pip install 'glintrack[…]'`` works for a registry alone.
 """
 
 import importlib
@@ -35,25 +35,25 @@ _BIBTEX = """\
 
 
 def citation() -> str:
-    """What to cite, as BibTeX: this version of the program, and the paper whose chain it follows."""
+    """BibTeX entries of this version of the program, and of the paper that it implements."""
     return _BIBTEX.format(version=VERSION)
 
 
 class MissingExtraError(ValueError):
-    """A part of the program needs a package that is not installed."""
+    """A package that a part of the program needs is not installed."""
 
 
 def require_extra(module: str, extra: str, purpose: str) -> ModuleType:
-    """Import a module that an extra brings.
+    """Import a module of an extra.
 
     Parameters
     ----------
     module
         Dotted name of the module, e.g. ``"stonesoup.types.track"``.
     extra
-        The extra of ``pyproject.toml`` that brings it.
+        Extra of ``pyproject.toml`` that contains it.
     purpose
-        What it is needed for, as an infinitive, e.g. ``"read meshes"``.
+        Purpose as an infinitive, e.g. ``"read meshes"``.
 
     Raises
     ------
@@ -67,13 +67,13 @@ def require_extra(module: str, extra: str, purpose: str) -> ModuleType:
 
 
 def missing_extra(package: str, extra: str, purpose: str) -> str:
-    """The sentence that says which extra is missing, and how to install it."""
+    """Message that an extra is missing, with the command that installs it."""
     line = install_line(extra)
     return f"the extra `{extra}` must be installed to {purpose}, got no package {package} ({line})"
 
 
 def install_line(extra: str) -> str:
-    """A shell command that adds an extra to this installation, for the Python that runs."""
+    """Shell command that adds an extra to this installation."""
     pip = f"{shlex.quote(sys.executable or 'python3')} -m pip install"
     url, about = _origin()
     if url is None:
@@ -91,7 +91,7 @@ def install_line(extra: str) -> str:
 
 
 def _origin() -> tuple[str | None, dict]:
-    """Where this installation came from: its URL and what PEP 610 says of it; no URL for a registry."""
+    """URL of the origin of this installation, and its record of PEP 610; no URL for a registry."""
     clone = Path(__file__).parents[3]
     if (clone / "pyproject.toml").is_file():  # runs from its own clone
         return clone.as_uri(), {"dir_info": {"editable": True}}

@@ -1,4 +1,4 @@
-"""Interpolation on even grids: heights of the ground (bilinear), and weights of cubic convolution."""
+"""Interpolation on regular grids: bilinear ground heights, and weights of cubic convolution."""
 
 import numba as nb
 import numpy as np
@@ -10,18 +10,14 @@ from glintrack.core.arrays import Array
 
 
 def height_at(terrain: xr.Dataset, east: ArrayLike, north: ArrayLike) -> Float[Array, "..."]:
-    """Height of the ground, bilinear; beyond the grid's edge that of the edge. [m]
+    """Height of the ground by bilinear interpolation; beyond the grid, that of its edge. [m]
 
     Parameters
     ----------
     terrain
         Schema ``terrain``: an even grid, y falling.
     east, north
-        Broadcast against each other; NaN for no place. [m]
-
-    Returns
-    -------
-    NaN where there is no place. [m]
+        Positions, broadcast against each other; NaN gives NaN. [m]
     """
     x, y, height = (terrain.variables[name].values for name in ("x", "y", "height"))
     i, k, fu = _nodes(x, east)
@@ -32,7 +28,7 @@ def height_at(terrain: xr.Dataset, east: ArrayLike, north: ArrayLike) -> Float[A
 
 
 def _nodes(axis: Float[Array, "node"], place: ArrayLike) -> tuple[Array, Array, Array]:
-    """The nodes before and behind each place, and its share of the way between them."""
+    """Nodes before and behind each position, and its fraction of the way between them."""
     step = axis[1] - axis[0] if axis.size > 1 else 1.0
     at = np.clip((np.asarray(place, float) - axis[0]) / step, 0, axis.size - 1)
     before = np.minimum(np.nan_to_num(at).astype(int), max(axis.size - 2, 0))
@@ -41,9 +37,9 @@ def _nodes(axis: Float[Array, "node"], place: ArrayLike) -> tuple[Array, Array, 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def keys_weights(f):
-    """Weights of four pixels in a row, the place ``f`` (0 to 1) behind the second of them; 32-bit floats.
+    """Weights of four pixels in a row for a position ``f`` (0 to 1) behind the second; 32-bit floats.
 
-    Third order for smooth pictures: R. G. Keys, IEEE Trans. ASSP 29, 1153 (1981), Eq. (15), with a = −½.
+    Third order for smooth images: R. G. Keys, IEEE Trans. ASSP 29, 1153 (1981), Eq. (15), with a = −½.
     """
     half, one, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
     three, four, five = np.float32(3.0), np.float32(4.0), np.float32(5.0)

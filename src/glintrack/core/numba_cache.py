@@ -12,18 +12,18 @@ from hashlib import sha256
 from pathlib import Path
 
 VARIABLE = "NUMBA_CACHE_DIR"
-MAX_FOLDERS = 3  # versions of the sources whose kernels are kept
+MAX_FOLDERS = 3  # versions of the sources that have a folder
 _COMPLETE = "glintrack-{digest}.complete"  # file in the folder once `glintrack warm-up` has finished
 
 
 def sources_digest() -> str:
     """Digest of the names and contents of the package's source files."""
     package = Path(__file__).parents[1]
-    found = sha256()
+    digest = sha256()
     for path in sorted(package.rglob("*.py")):
-        found.update(f"{path.relative_to(package).as_posix()}\0".encode())
-        found.update(path.read_bytes())
-    return found.hexdigest()[:16]
+        digest.update(f"{path.relative_to(package).as_posix()}\0".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def set_cache_folder(parent: Path) -> Path:
@@ -56,12 +56,12 @@ def _writable(folder: Path) -> Path:
         folder.mkdir(parents=True)
         return folder
     except OSError as error:
-        warnings.warn(f"compiled kernels are kept for this run only: {error}", stacklevel=2)
+        warnings.warn(f"compiled kernels are stored for this run only: {error}", stacklevel=2)
         return Path(tempfile.mkdtemp(prefix="glintrack-kernels-"))
 
 
 def is_complete() -> bool:
-    """Whether the kernels of these sources are compiled, or no folder is set."""
+    """Return True if the kernels of these sources are compiled, or no folder is set."""
     return VARIABLE not in os.environ or _marker().exists()
 
 

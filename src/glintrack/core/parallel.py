@@ -28,22 +28,12 @@ _alone: ContextVar[bool] = ContextVar("alone", default=False)  # within `one_thr
 class CompilationClock(event.Listener):
     """Number of kernels that this process compiled, and the wall time it took.
 
-    A kernel that another one calls is counted too. Its time lies within the caller's and counts once.
-
-    Attributes
-    ----------
-    kernels
-        Compiled so far.
+    A kernel that another one calls is counted too; its time is part of the caller's.
     """
 
     def __init__(self) -> None:
         self.kernels = 0
         self._lock, self._depth, self._since, self._before = threading.Lock(), 0, 0.0, 0.0
-
-    @property
-    def is_compiling(self) -> bool:
-        """Whether a kernel is being compiled now."""
-        return self._depth > 0
 
     @property
     def seconds(self) -> float:
@@ -81,13 +71,13 @@ def over_rows(
     kernel
         Writes into arrays among its arguments, each row in its own place.
     rows
-        How many rows there are.
+        Number of rows.
     least
-        Rows of a slice, at least; every slice but the last starts at a multiple of it.
+        Smallest number of rows of a slice; every slice but the last starts at a multiple of it.
     most
-        Rows of a slice, at most, if that is not under ``least``.
+        Largest number of rows of a slice, unless that is less than ``least``.
     """
-    if _alone.get():  # asked first: numba's own count takes as long as a small kernel
+    if _alone.get():  # tested first: numba's own count takes as long as a small kernel
         if rows > 0:
             kernel(0, rows, *arguments)
         return
@@ -96,22 +86,16 @@ def over_rows(
     size = share if most is None else min(share, most)
     size = max(-(-size // least) * least, least)
     slices = [(start, min(start + size, rows)) for start in range(0, rows, size)]
-    if not slices:
-        return
     waiting = iter(slices)
 
     def work() -> None:
-        for one in waiting:  # one thread at a time takes the next: a list's iterator holds the lock
+        for one in waiting:  # a list's iterator gives each slice to one thread
             kernel(*one, *arguments)
 
-    helpers = min(threads, len(slices)) - 1
-    if not helpers:
-        work()
-        return
-    others = [_helpers(threads).submit(work) for _ in range(helpers)]
+    others = [_helpers(threads).submit(work) for _ in range(min(threads, len(slices)) - 1)]
     try:
         work()
-    finally:  # who has not begun finds nothing left to do
+    finally:  # helpers that have not begun find no work left
         begun = [other for other in others if not other.cancel()]
         wait(begun)
     for other in begun:
@@ -120,7 +104,7 @@ def over_rows(
 
 @lru_cache
 def _helpers(threads: int) -> ThreadPoolExecutor:
-    """Threads that help whoever calls `over_rows`: to start one anew each time takes as long as a kernel."""
+    """Threads that help the caller of `over_rows`; starting them takes as long as a kernel."""
     return ThreadPoolExecutor(threads, "rows")
 
 
@@ -129,7 +113,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def map_threads(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
-    """Call a function for each item in several threads: for work that mostly releases Python's lock."""
+    """Call a function for each item in several threads; for work that mostly releases Python's lock."""
     listed, threads = list(items), 1 if _alone.get() else nb.get_num_threads()
     if min(threads, len(listed)) < 2:
         return [function(one) for one in listed]
@@ -138,9 +122,8 @@ def map_threads(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
 
 
 def _pool(threads: int, name: str) -> ThreadPoolExecutor:
-    """Threads with as many of numba's as their caller has: that number is a thread's own."""
-    helped = nb.get_num_threads()
-    return ThreadPoolExecutor(threads, name, initializer=nb.set_num_threads, initargs=(helped,))
+    """Threads with the caller's number of numba threads, which each thread has for itself."""
+    return ThreadPoolExecutor(threads, name, nb.set_num_threads, (nb.get_num_threads(),))
 
 
 class BackgroundTask:
@@ -168,7 +151,7 @@ class BackgroundTask:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Keep `over_rows` to the calling thread and to one slice, for work that is itself a slice of more."""
+    """Restrict `over_rows` to the calling thread and one slice, within work that is already parallel."""
     before = _alone.set(True)
     try:
         yield
@@ -177,28 +160,18 @@ def one_thread() -> Iterator[None]:
 
 
 def prefetch(make: Callable[[T], R], items: Iterable[T]) -> Generator[R, None, None]:
-    """Call ``make`` for each item, in order; make the next result in a thread while this one is used.
+    """Call ``make`` for each item in order; the next result is made in a thread while this one is used.
 
-    If numba is set to one thread, each result is made when it is asked for. Close the iterator if it may be
-    left early: it waits for the result in the making and drops it.
-
-    Parameters
-    ----------
-    make
-        Called for one item at a time.
-    items
-        In the order in which they are wanted.
+    If numba is set to one thread, each result is made when it is requested. Close the iterator if it may be
+    left early: it waits for the result in progress and drops it.
     """
-    waiting = iter(items)
     if nb.get_num_threads() < 2 or _alone.get():
-        yield from map(make, waiting)
+        yield from map(make, items)
         return
-    pool = _pool(1, "ahead")
-    try:
+    with _pool(1, "prefetch") as pool:
+        waiting = iter(items)
         coming = [pool.submit(make, item) for item in itertools.islice(waiting, 1)]
         while coming:
             made = coming.pop().result()
             coming += [pool.submit(make, item) for item in itertools.islice(waiting, 1)]
             yield made
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)

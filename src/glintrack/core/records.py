@@ -1,7 +1,7 @@
-"""Small records that pass between stages; everything larger is a labelled array (`schema`)."""
+"""Small records that pass between stages; larger values are labelled arrays (`schema`)."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import xarray as xr
@@ -20,7 +20,7 @@ class Extent(NamedTuple):
 
 
 class Radiance(Protocol):
-    """Light that reaches the lens in one frame, made on demand: what the sensor integrates."""
+    """Radiance at the lens in one frame, computed for the channels and pixels that are requested."""
 
     def __call__(
         self, channels: Float[Array, "channel wavelength"], pixels: Int[Array, "pixel 2"] | None = None
@@ -32,7 +32,7 @@ class Radiance(Protocol):
         channels
             Weights on the sky's wavelengths, as `spectral.channel_weights` makes them. [1]
         pixels
-            (row, column) of the elements wanted; the whole frame by default.
+            (row, column) of the requested elements; the whole frame by default.
 
         Returns
         -------
@@ -44,16 +44,16 @@ class Radiance(Protocol):
 
 @dataclass(frozen=True)
 class Mosaic:
-    """What a sensor's elements read in one frame, before demosaicking: each kind where it lies.
+    """Electrons of all elements in one frame, before demosaicking.
 
     Parameters
     ----------
     electrons
-        Calibrated; NaN where a mirror fed the spectrometer. [e]
+        Calibrated electrons; NaN where a mirror directed light to the spectrometer. [e]
     sigma_e
         Standard deviation of shot, dark, read and quantizer noise. [e]
     layout
-        What stands over each element of a superpixel: ``"mirror"``, ``"open"`` or a polarizer's angle. [deg]
+        Element types of a superpixel: ``"mirror"``, ``"open"`` or a polarizer's angle. [deg]
     gains
         Electrons of each element of a superpixel per unit of S0, S1 and S2 in its own band, the latter two in
         the ``detector`` frame. [e / (W m⁻² sr⁻¹ µm⁻¹)]
@@ -67,7 +67,7 @@ class Mosaic:
 
 @dataclass(frozen=True)
 class SpectralQuery:
-    """The tracker's wish for the spectrum of one ground point, in the next frame or at once.
+    """Request for the spectrum of one ground point, in the next frame or by a second exposure.
 
     Parameters
     ----------
@@ -93,12 +93,12 @@ class SpectralQuery:
 
 @dataclass(frozen=True)
 class ServedQueries:
-    """Which queries the spectrometer serves in one frame, and with which micromirrors.
+    """Queries of one frame, and the micromirrors that serve them.
 
     Parameters
     ----------
     queries
-        The queries that were asked, in the order asked.
+        All queries, in their order.
     rows, columns
         Superpixel whose mirror serves each query; −1 where refused. [superpixel]
     refusals
@@ -118,7 +118,7 @@ class ServedQueries:
 
 @dataclass(frozen=True)
 class GroundPlace:
-    """Where a rectified raster lies on the map.
+    """Position of a rectified raster on the map.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ class GroundPlace:
 
 @dataclass(frozen=True)
 class RasterLayout:
-    """What a raster file holds; a file's flat bands run over channels, then over components.
+    """Content of a raster file; its flat bands run over channels, then over components.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class RasterLayout:
     component_dim, components
         ``stokes`` or ``rgb`` and the components' letters; empty for a scalar.
     block
-        Rows and channels that are written at a time.
+        Rows and channels of one block.
     wavelength_um, width_um
         Centre and full width at half maximum of each channel. [µm]
     stokes_frame
@@ -197,44 +197,23 @@ class RasterLayout:
 
 @dataclass(frozen=True)
 class Rows:
-    """A table that grows by some rows an epoch, in few large arrays: small ones cost more than they hold.
+    """A table that grows by some rows in each epoch.
 
     Parameters
     ----------
-    blocks
-        Of many epochs each.
-    fresh
-        Of the last epochs, one each, all with dim ``row`` and the same variables.
+    parts
+        Rows of the epochs, with dim ``row`` and the same variables.
     """
 
-    blocks: tuple[xr.Dataset, ...] = ()
-    fresh: tuple[xr.Dataset, ...] = ()
+    parts: tuple[xr.Dataset, ...] = ()
 
     def append(self, rows: xr.Dataset) -> "Rows":
-        """The table with the rows of one more epoch, perhaps none."""
-        fresh = (*self.fresh, rows)
-        if len(fresh) < _BLOCK_EPOCHS:
-            return Rows(self.blocks, fresh)
-        return Rows((*self.blocks, _joined(fresh)))
+        """Table with the rows of one more epoch, perhaps none."""
+        return Rows((*self.parts, rows))
 
     def to_dataset(self) -> xr.Dataset:
-        """All rows in the order in which they came; an empty Dataset if no epoch was added."""
-        return _joined((*self.blocks, *self.fresh))
-
-
-_BLOCK_EPOCHS = 64
-
-
-def _joined(parts: tuple[xr.Dataset, ...]) -> xr.Dataset:
-    """One table of several, attributes as in the first; coordinates that have no rows too."""
-    if not parts:
-        return xr.Dataset()
-    first = parts[0]
-    columns = {
-        name: (v.dims, np.concatenate([part.variables[name].values for part in parts]), v.attrs)
-        for name, v in first.variables.items()
-        if v.dims[:1] == ("row",)
-    }
-    rest = {name: v for name, v in first.coords.items() if v.dims[:1] != ("row",)}
-    whole = xr.Dataset(columns, rest, first.attrs)
-    return whole.set_coords([name for name in first.coords if name in columns])
+        """All rows in their order, attributes as in the first epoch; an empty Dataset without epochs."""
+        options: dict[str, Any] = {"data_vars": "minimal", "coords": "minimal", "compat": "override"}
+        return (
+            xr.concat(self.parts, "row", combine_attrs="override", **options) if self.parts else xr.Dataset()
+        )

@@ -1,4 +1,4 @@
-"""Every labelled array that crosses a stage border, as data, and the check that runs there."""
+"""Requirements on the labelled arrays between stages, and their check."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,17 +7,17 @@ import numpy as np
 import xarray as xr
 
 RADIANCE = "W m-2 sr-1 um-1"
-COUNT = "count"  # of a camera's quantizer, where nobody knows the radiance of one
+COUNT = "count"  # of an uncalibrated camera
 IRRADIANCE = "W m-2 um-1"
 MOVING_SPEED_M_S = 1.0  # a vehicle of the truth at least this fast is moving
-MIN_SCORED_S = 5.0  # flight of which a score says something: the ground is learnt first, whatever the rate
+MIN_SCORED_S = 5.0  # duration from which scores are meaningful: the background is learnt first
 
 
 @dataclass(frozen=True)
 class Variable:
-    """What one array must be: its dims in order, its unit, its range, and whether NaN marks 'no data'.
+    """Requirements on one array: dims in order, unit, range, and whether NaN marks missing data.
 
-    ``or_units`` are those of a camera that nobody has calibrated, where such a one may bring the array.
+    ``or_units`` is the unit of an uncalibrated camera, if the array may come from one.
     """
 
     dims: tuple[str, ...]
@@ -120,43 +120,43 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
 
 
 def check(dataset: xr.Dataset, schema: str) -> xr.Dataset:
-    """Return ``dataset`` if it satisfies the named schema, else say which variable does not and why.
+    """Return ``dataset`` if it satisfies the named schema.
 
     Parameters
     ----------
     dataset
-        What is about to cross a stage border.
+        Arrays that one stage passes to another.
     schema
         Key of `SCHEMAS`.
 
     Raises
     ------
     ValueError
-        Naming the variable, the requirement and what came.
+        If not, with the variable, the requirement and what was found.
     """
     for name, variable in SCHEMAS[schema].items():
         _check_variable(dataset, f"{schema}.{name}", name, variable)
     for name, units in COORDINATE_UNITS.items():
         if name in dataset.coords and dataset.variables[name].dims == (name,):
-            came = dataset.variables[name].attrs.get("units")
+            units_found = dataset.variables[name].attrs.get("units")
             expected = "element" if schema == "frame" and name in ("x", "y") else units
-            if came != expected:
-                raise ValueError(f"`{schema}.{name}` must have units {expected!r}, got {came!r}")
+            if units_found != expected:
+                raise ValueError(f"`{schema}.{name}` must have units {expected!r}, got {units_found!r}")
     return dataset
 
 
 def _check_variable(dataset: xr.Dataset, label: str, name: str, variable: Variable) -> None:
     if name not in dataset:
         raise ValueError(f"`{label}` must be present, got only {sorted(map(str, dataset.data_vars))}")
-    array = dataset.variables[name]  # without coordinates: a DataArray takes ten times as long to make
+    array = dataset.variables[name]
     if array.dims != variable.dims:
         raise ValueError(f"`{label}` must have dims {variable.dims}, got {array.dims}")
     if array.attrs.get("units") not in {variable.units, variable.or_units or variable.units}:
         raise ValueError(f"`{label}` must have units {variable.units!r}, got {array.attrs.get('units')!r}")
     if "stokes" in variable.dims:
-        from_table = list(map(str, dataset["stokes"].values)) if "stokes" in dataset.coords else None
-        if from_table not in (["I", "Q", "U"], ["I", "Q", "U", "V"]):
-            raise ValueError(f"`{label}` must have a stokes coordinate I Q U [V], got {from_table}")
+        stokes = list(map(str, dataset["stokes"].values)) if "stokes" in dataset.coords else None
+        if stokes not in (["I", "Q", "U"], ["I", "Q", "U", "V"]):
+            raise ValueError(f"`{label}` must have a stokes coordinate I Q U [V], got {stokes}")
         if array.attrs.get("stokes_frame") not in ("detector", "meridian", "incidence"):
             raise ValueError(
                 f"`{label}` must name its stokes_frame (detector, meridian or incidence), "
@@ -165,7 +165,7 @@ def _check_variable(dataset: xr.Dataset, label: str, name: str, variable: Variab
     if array.size == 0:
         return
     values = array.values
-    # two passes over the largest arrays: what is not finite shows in the extremes
+    # two passes over the largest arrays: the extremes show what is not finite
     lowest, highest = (np.fmin, np.fmax) if variable.nan_allowed else (np.minimum, np.maximum)
     low, high = float(lowest.reduce(values, axis=None)), float(highest.reduce(values, axis=None))
     if variable.nan_allowed and np.isnan(low) and np.isnan(high):

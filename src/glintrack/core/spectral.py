@@ -43,7 +43,7 @@ def wavelength_grid(
 
 
 def quadrature_weights(wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "wavelength"]:
-    """Trapezoid weights: ``weights @ spectrum`` is ∫ spectrum dλ; one wavelength alone weighs 1 µm. [µm]"""
+    """Trapezoid weights: ``weights @ spectrum`` is ∫ spectrum dλ; a single wavelength has 1 µm. [µm]"""
     wavelength_um = check_wavelengths(wavelength_um)
     if wavelength_um.size == 1:
         return np.ones(1)
@@ -73,18 +73,18 @@ def resample(
     values: Float[Array, "*rest node"],
     name: str = "spectrum",
 ) -> Float[Array, "*rest wavelength"]:
-    """Linear interpolation of a table along its last axis; outside its range is an error.
+    """Interpolate a table linearly along its last axis; wavelengths outside its range are an error.
 
     Parameters
     ----------
     wavelength_um
-        Where to evaluate. [µm]
+        Wavelengths to evaluate at. [µm]
     table_um
         Rising wavelengths of the table. [µm]
     values
         Table, last axis ``node``.
     name
-        What to call the table in the error.
+        Name of the table in error messages.
     """
     table_um, values = np.asarray(table_um, dtype=float), np.asarray(values, dtype=float)
     wavelength_um = np.asarray(wavelength_um, dtype=float)
@@ -129,7 +129,7 @@ class Band:
 
     @property
     def _key(self) -> str:
-        """As a message names it: a key's own name, or a channel's."""
+        """Name in messages: that of the key, or of the channel."""
         return self.name if "." in self.name else f"band.{self.name}"
 
     def response(self, wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "wavelength"]:

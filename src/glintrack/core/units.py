@@ -1,4 +1,4 @@
-"""The unit that a key of a design is in: the ending of its name says it."""
+"""Unit of a key of a design, from the ending of its name."""
 
 _UNITS = {
     "_m_s2": "m/s²",
@@ -28,12 +28,12 @@ _UNITS = {
 
 
 def unit_of(name: str) -> str:
-    """Unit that a key's name ends in."""
+    """Return the unit that a key's name ends in; may be empty."""
     return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
 
 
 def format_duration(seconds: float) -> str:
-    """Round a time for people: ``40 s``, ``12 min``, ``3.4 h``."""
+    """Format a time to one or two digits: ``40 s``, ``12 min``, ``3.4 h``."""
     if seconds < 90:
         return f"{max(round(seconds, -1), 10):.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,4 +1,4 @@
-"""Write files and folders that appear whole or not at all, and hash their contents."""
+"""Write files and folders whole or not at all, and hash their contents."""
 
 import errno
 import glob
@@ -11,7 +11,7 @@ from pathlib import Path
 
 
 def content_hash(parts: str | bytes | Iterable[str | bytes], digits: int = 64) -> str:
-    """Leading hexadecimal digits of the SHA-256 of parts one after another; text as UTF-8."""
+    """Leading hexadecimal digits of the SHA-256 of concatenated parts; text as UTF-8."""
     found = hashlib.sha256()
     for part in (parts,) if isinstance(parts, str | bytes) else parts:
         found.update(part.encode() if isinstance(part, str) else part)
@@ -19,7 +19,7 @@ def content_hash(parts: str | bytes | Iterable[str | bytes], digits: int = 64) -
 
 
 class ResultFolder:
-    """A result folder that appears whole: written beside its name, renamed at the end.
+    """A result folder that appears whole: written under a temporary name and renamed at the end.
 
     Parameters
     ----------
@@ -29,34 +29,27 @@ class ResultFolder:
     Raises
     ------
     ValueError
-        If the path holds something or its parent cannot be written.
+        If the path holds something, its parent cannot be written, or another process writes it.
     """
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
         check_new_folder(self.path)
-        self.partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
-        shutil.rmtree(self.partial, ignore_errors=True)  # of a process that had this number and was killed
-        try:
-            self.partial.mkdir(parents=True)
-        except OSError as error:
-            raise ValueError(f"`output` must be writable, got {self.path} ({error.strerror})") from error
-        self._alone()
-
-    def _alone(self) -> None:
-        """Remove what killed processes left of this folder; refuse if a living one writes it."""
-        begin = f".{self.path.name}.partial-"
-        for other in self.path.parent.glob(f"{glob.escape(begin)}*"):
-            number = other.name.removeprefix(begin)
-            if other == self.partial or not number.isdecimal():
-                continue
-            if _is_alive(int(number)):
-                self.discard()
+        start = f".{self.path.name}.partial-"
+        for other in self.path.parent.glob(f"{glob.escape(start)}*"):
+            number = other.name.removeprefix(start)
+            if number.isdecimal() and int(number) != os.getpid() and _is_alive(int(number)):
                 raise ValueError(
                     f"`output` must not be written by another run, got {self.path}, which process {number} "
                     "writes (choose another -o, or wait)"
                 )
-            shutil.rmtree(other, ignore_errors=True)
+            if number.isdecimal():  # of a process that was killed
+                shutil.rmtree(other, ignore_errors=True)
+        self.partial = self.path.with_name(f"{start}{os.getpid()}")
+        try:
+            self.partial.mkdir(parents=True)
+        except OSError as error:
+            raise ValueError(f"`output` must be writable, got {self.path} ({error.strerror})") from error
 
     def publish(self) -> Path:
         """Give the folder its name."""
@@ -71,10 +64,8 @@ class ResultFolder:
 def _is_alive(process: int) -> bool:
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):  # somebody else's
-        return True
+    except (OSError, OverflowError) as error:
+        return isinstance(error, PermissionError)  # another user's
     return True
 
 
@@ -84,7 +75,7 @@ def check_new_folder(path: Path) -> None:
     Raises
     ------
     ValueError
-        If something is there, but for an empty folder.
+        If there is a file, or a folder that is not empty.
     """
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise ValueError(
@@ -93,12 +84,12 @@ def check_new_folder(path: Path) -> None:
 
 
 def check_new(path: Path, option: str = "output") -> None:
-    """Refuse to write over a file: nobody is asked, and what lies there may be all there is of it.
+    """Refuse to write over an existing file.
 
     Raises
     ------
     ValueError
-        If something of that name is there.
+        If there is a file of that name.
     """
     if path.exists() or path.is_symlink():
         raise ValueError(
@@ -107,12 +98,12 @@ def check_new(path: Path, option: str = "output") -> None:
 
 
 def reserve(path: Path, size: int) -> None:
-    """Refuse a new file for which there is no room, before a library begins to write it.
+    """Refuse a new file for which there is no space, before a library begins to write it.
 
     Raises
     ------
     OSError
-        As a write would: a full disk, a spent quota, a limit to the size of files. Nothing is left.
+        As a write would: a full disk, an exceeded quota, a limit of file sizes. No file is left.
     """
     with path.open("wb") as file:
         try:
@@ -140,9 +131,9 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 @contextmanager
 def temporary_path(path: Path) -> Iterator[Path]:
-    """A hidden name in the same folder, of the same ending, to make a file under; removed at the end.
+    """Temporary hidden file name in the same folder, with the same ending; removed at the end.
 
-    It is short: a file may have a name as long as the system takes.
+    It is short, because the name of the file may be as long as the system allows.
     """
     partial = path.with_name(f".partial-{os.getpid()}-{content_hash(path.name, 12)}{path.suffix[-12:]}")
     try:
@@ -153,16 +144,16 @@ def temporary_path(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def all_or_none(paths: Iterable[Path]) -> Iterator[None]:
-    """Files that one command makes: where it fails at one of them, the others, if new, go too."""
-    fresh = [path for path in paths if not path.exists()]
+    """Remove all new files of a command if it fails."""
+    new = [path for path in paths if not path.exists()]
     try:
         yield
     except BaseException:
-        for path in fresh:
+        for path in new:
             path.unlink(missing_ok=True)
         raise
 
 
-def listing(folder: Path) -> Iterable[str]:
-    """Names of all files below a folder, sorted."""
+def list_files(folder: Path) -> list[str]:
+    """Sorted names of all files in a folder and below."""
     return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())

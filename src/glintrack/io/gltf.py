@@ -1,6 +1,6 @@
-"""glTF 2.0 binary: meshes with flat colours, instances of them, in one file that any viewer opens.
+"""Write glTF 2.0 binary files: meshes with flat colours, and instances of them.
 
-glTF's axes are x right, y up, z toward the viewer; x, y, z of ours (z up) are put at x, −z, y.
+glTF's axes are x right, y up, z toward the viewer. Our x, y, z (z up) become x, −z, y.
 """
 
 import json
@@ -16,12 +16,12 @@ from glintrack.core.colour import decode_srgb
 _FLOAT, _UINT = 5126, 5125  # component types of the standard
 _VERTICES, _INDICES = 34962, 34963  # targets of buffer views
 _JSON, _BIN, _MAGIC = 0x4E4F534A, 0x004E4942, 0x46546C67
-_TURNED = [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]  # z up to y up, column by column
+_Z_UP = [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]  # z up to y up, column by column
 
 
 @dataclass
 class Document:
-    """Collects the parts of one file; `bytes` gives it."""
+    """Parts of one glTF file, which `bytes` writes."""
 
     materials: list[dict] = field(default_factory=list)
     nodes: list[dict] = field(default_factory=list)
@@ -39,7 +39,7 @@ class Document:
         roughness: float = 1.0,
         opacity: float = 1.0,
     ) -> int:
-        """A gamma-encoded colour with its gloss; its number."""
+        """Add a material with a gamma-encoded colour, and return its number."""
         colour = [*(float(c) for c in decode_srgb(np.asarray(srgb, float))), float(opacity)]
         look = {
             "baseColorFactor": colour,
@@ -57,7 +57,7 @@ class Document:
         material: Int[Array, "face"],
         name: str,
     ) -> int:
-        """One mesh with a primitive for each material; its number."""
+        """Add a mesh with a primitive for each material, and return its number."""
         primitives = []
         for number in np.unique(material):
             used, corners = np.unique(faces[material == number], return_inverse=True)
@@ -76,7 +76,7 @@ class Document:
         return len(self.meshes) - 1
 
     def add_node(self, name: str, mesh: int, transform: Float[Array, "3 4"] | None = None) -> None:
-        """Put a mesh where it belongs; without a transform, where its vertices say."""
+        """Add an instance of a mesh; without a transform, at the position of its vertices."""
         node = {"name": name, "mesh": mesh}
         if transform is not None:
             matrix = np.vstack([transform, [0, 0, 0, 1]]).T.ravel()  # column by column
@@ -94,19 +94,19 @@ class Document:
         return len(self.accessors) - 1
 
     def bytes(self, root: str = "z up") -> bytes:
-        """The file: a JSON chunk and a binary one.
+        """Content of the file: a JSON chunk and a binary one.
 
         Parameters
         ----------
         root
             Name of the node that turns z up into glTF's y up.
         """
-        turned = {"name": root, "matrix": _TURNED, "children": list(range(1, len(self.nodes) + 1))}
+        axes = {"name": root, "matrix": _Z_UP, "children": list(range(1, len(self.nodes) + 1))}
         document = {
             "asset": {"version": "2.0", "generator": "glintrack"},
             "scene": 0,
             "scenes": [{"nodes": [0]}],
-            "nodes": [turned, *self.nodes],
+            "nodes": [axes, *self.nodes],
             "meshes": self.meshes,
             "materials": self.materials,
             "accessors": self.accessors,

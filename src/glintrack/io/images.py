@@ -1,9 +1,10 @@
-"""Write pictures and figures as PNG or JPEG, frames and photographs as GeoTIFF (COG) or NetCDF-4."""
+"""Write pictures and figures as PNG or JPEG, frames and rectified images as GeoTIFF (COG) or NetCDF-4."""
 
 import io
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib.image
 import numpy as np
@@ -22,20 +23,22 @@ from glintrack.io.atomic import temporary_path, write_bytes
 from glintrack.io.netcdf import write_dataset
 from glintrack.io.untrusted import use_own_proj
 
+DOTS_PER_INCH = 150  # of a figure
+
 
 def write_frame(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, float]) -> None:
-    """A rectified frame as Cloud Optimized GeoTIFF: pan, I, Q, U and DoLP bands, NaN for no data.
+    """Write a rectified frame as Cloud Optimized GeoTIFF: pan, I, Q, U and DoLP bands, NaN for no data.
 
     Parameters
     ----------
     path
-        Where to.
+        File to write.
     image
         Schema ``image``.
     crs
-        Of the raster.
+        CRS of the raster.
     origin_m
-        Easting and northing of the frame's own zero.
+        Easting and northing of the frame's origin. [m]
     """
     gsd = float(image.attrs["gsd_m"])
     corner = (float(image["x"][0]) - gsd / 2 + origin_m[0], float(image["y"][0]) + gsd / 2 + origin_m[1])
@@ -47,24 +50,20 @@ def write_frame(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, 
 
 
 def write_polarization(path: Path, frame: xr.Dataset, time_s: float | None) -> None:
-    """A frame of a camera as Cloud Optimized GeoTIFF without a place: pan, I, Q, U, DoLP and AoP.
+    """Write a frame in camera geometry as Cloud Optimized GeoTIFF: pan, I, Q, U, DoLP and AoP.
 
     Parameters
     ----------
     path
-        Where to.
+        File to write.
     frame
-        Schema ``frame`` with ``dolp`` and ``aop``; one pixel a superpixel.
+        Schema ``frame`` with ``dolp`` and ``aop``; one pixel for each superpixel.
     time_s
-        Written as the tag ``time_s``; None if it is not known. [s]
+        Tag ``time_s``; None if it is not known. [s]
     """
     stokes = frame["stokes_radiance"]
-    bands = [
-        frame["pan"].values,
-        *np.moveaxis(stokes.values, -1, 0),
-        frame["dolp"].values,
-        frame["aop"].values,
-    ]
+    pan, dolp, aop = (frame[name].values for name in ("pan", "dolp", "aop"))
+    bands = [pan, *np.moveaxis(stokes.values, -1, 0), dolp, aop]
     tags = {"stokes_frame": "detector", "units": str(stokes.attrs["units"])}
     tags |= {} if time_s is None else {"time_s": time_s}
     with warnings.catch_warnings():
@@ -82,27 +81,27 @@ def write_bands(
     tags: Mapping[str, str | float],
     dtype: str = "float32",
 ) -> None:
-    """A rectified picture as Cloud Optimized GeoTIFF or, by its ending, NetCDF-4; whole or not at all.
+    """Write a rectified image as Cloud Optimized GeoTIFF or, by its ending, NetCDF-4.
 
     Parameters
     ----------
     path
         ``.tif``, ``.tiff`` or ``.nc``.
     bands, names
-        Values, NaN for no data, and what each band is.
+        Values, NaN for no data, and name of each band.
     x, y
         Centres of the cells in the CRS, evenly spaced; y falls.
     crs
-        Written as the raster's CRS, in NetCDF as a CF grid mapping.
+        CRS of the raster; in NetCDF a CF grid mapping.
     tags
-        Kept with the file.
+        Metadata of the file.
     dtype
-        Of a GeoTIFF. Whole numbers are rounded, and a mask says where there is no data, in place of NaN.
+        Type of a GeoTIFF. Integers are rounded, and a mask marks missing data instead of NaN.
 
     Raises
     ------
     ValueError
-        If the ending is another one.
+        If the ending is not one of these.
     """
     ending = path.suffix.lower()
     if ending not in (".tif", ".tiff", ".nc"):
@@ -136,58 +135,43 @@ def _write(
     dtype: str = "float32",
 ) -> None:
     use_own_proj()
-    rows, columns = bands[0].shape
     profile = {
         "driver": "COG",
-        "height": rows,
-        "width": columns,
+        "height": bands[0].shape[0],
+        "width": bands[0].shape[1],
         "count": len(bands),
         "dtype": dtype,
         "crs": crs,
         "transform": transform,
         "compress": "deflate",
     }
-    whole = np.issubdtype(dtype, np.integer)
-    if not whole:
+    is_integer = np.issubdtype(dtype, np.integer)
+    if not is_integer:
         profile["nodata"] = np.nan
-    # GDAL does not say where a disk is full
+    colours = [ColorInterp.red, ColorInterp.green, ColorInterp.blue]
+    kinds = colours if list(names[:3]) == [kind.name for kind in colours] else [ColorInterp.gray]
+    # in memory first: GDAL does not report a full disk
     with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.MemoryFile() as memory:
         with memory.open(**profile) as file:
             for k, (name, values) in enumerate(zip(names, bands, strict=True), start=1):
-                file.write(_rounded(values, dtype) if whole else values.astype(dtype, copy=False), k)
+                if is_integer:
+                    limits = np.iinfo(dtype)
+                    values = np.nan_to_num(np.clip(np.rint(values), limits.min, limits.max))
+                file.write(values.astype(dtype, copy=False), k)
                 file.set_band_description(k, name)
-            file.colorinterp = _kinds(names)
-            if whole:
+            file.colorinterp = kinds + [ColorInterp.undefined] * (len(names) - len(kinds))
+            if is_integer:
                 file.write_mask(np.isfinite(bands).all(axis=0))
             file.update_tags(**tags)
         write_bytes(path, memory.read())
 
 
-def _rounded(values: Array, dtype: str) -> Array:
-    """Values as whole numbers of a type, within its range; 0 for no data."""
-    limits = np.iinfo(dtype)
-    return np.nan_to_num(np.clip(np.rint(values), limits.min, limits.max)).astype(dtype)
-
-
-def _kinds(names: Sequence[str]) -> list[ColorInterp]:
-    """What a viewer takes the bands for: a colour picture if they are named so, else gray and more."""
-    colours = [ColorInterp.red, ColorInterp.green, ColorInterp.blue]
-    first = colours if list(names[:3]) == [kind.name for kind in colours] else [ColorInterp.gray]
-    return first + [ColorInterp.undefined] * (len(names) - len(first))
-
-
-DOTS_PER_INCH = 150  # of a figure
-
-
 def write_picture(path: Path, picture: Float[Array, "y x 3"]) -> None:
     """Write an sRGB picture, 0 to 1, as PNG or JPEG by its ending."""
-    quality = _JPEG if path.suffix.lower() in (".jpg", ".jpeg") else None
+    quality: dict[str, Any] | None = {"quality": 82} if path.suffix.lower() in (".jpg", ".jpeg") else None
     with temporary_path(path) as partial:
         matplotlib.image.imsave(partial, np.clip(picture, 0, 1), pil_kwargs=quality)
         partial.rename(path)
-
-
-_JPEG: dict = {"quality": 82}
 
 
 def write_figure(path: Path, figure: Figure, dpi: int = DOTS_PER_INCH) -> None:

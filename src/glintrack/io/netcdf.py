@@ -1,4 +1,4 @@
-"""NetCDF-4 in and out: datasets and whole results."""
+"""Read and write NetCDF-4: datasets and whole results."""
 
 from pathlib import Path
 
@@ -10,25 +10,25 @@ from glintrack.io.untrusted import check_netcdf
 
 
 def write_dataset(path: Path, dataset: xr.Dataset) -> None:
-    """A dataset as NetCDF-4, compressed, whole or not at all."""
+    """Write a dataset as compressed NetCDF-4."""
     encoding = {str(name): {"zlib": True} for name in dataset.data_vars}
-    # made in memory: HDF5 crashes where it cannot write, on a full disk
+    # in memory first: HDF5 crashes on a full disk
     write_bytes(path, bytes(dataset.to_netcdf(engine="h5netcdf", encoding=encoding)))
 
 
 def read_dataset(path: Path, name: str) -> xr.Dataset:
-    """A NetCDF file in memory; ``name`` says what the file is in the error.
+    """Read a NetCDF file into memory; error messages call it ``name``.
 
     Raises
     ------
     ValueError
-        If the file cannot be read, or holds an infinite number; NaN may stand for none.
+        If the file cannot be read, or holds an infinite number (NaN is allowed).
     """
     check_netcdf(path, name)
     try:
         with xr.open_dataset(path, engine="h5netcdf") as file:
             dataset = file.load()
-    except Exception as error:  # whatever strange attributes make the decoders say
+    except Exception as error:  # whatever attributes make the decoders raise
         raise ValueError(f"`{name}` must be a readable NetCDF-4 file, got {path}: {error}") from error
     for variable, values in dataset.variables.items():
         if values.dtype.kind in "fc" and np.isinf(values.values).any():
@@ -39,5 +39,5 @@ def read_dataset(path: Path, name: str) -> xr.Dataset:
 
 
 def write_tree(path: Path, tree: xr.DataTree) -> None:
-    """The whole result as NetCDF-4 with one group a node."""
+    """Write a whole result as NetCDF-4 with one group for each node."""
     write_bytes(path, bytes(tree.to_netcdf(engine="h5netcdf")))

@@ -1,7 +1,7 @@
-"""A user's own rectified frames: a folder of rasters, a NetCDF or Zarr stack, or a placed video.
+"""Read rectified frames: a folder of rasters, a NetCDF or Zarr stack, or a video with a position.
 
-Frames are read one at a time. What the tracker needs is panchromatic radiance on a north-up square grid; a
-file with bands named I, Q and U, as glintrack writes them, gives DoLP as well.
+Frames are read one at a time. The tracker needs panchromatic radiance on a north-up square grid. Files with
+bands named I, Q and U, as glintrack writes them, give DoLP as well.
 """
 
 import math
@@ -15,7 +15,6 @@ import numpy as np
 import rasterio
 import rasterio.errors
 import xarray as xr
-from jaxtyping import Float
 from rasterio.enums import ColorInterp
 
 from glintrack.core.arrays import Array
@@ -24,17 +23,16 @@ from glintrack.core.schema import RADIANCE
 from glintrack.io.crs import longitude_latitude, metric_crs
 from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M, check_file, check_netcdf, open_raster
 
-_SLOWEST_HZ, _FINEST_M = 1e-6, 1e-4  # of frames of the ground
-_LOOPS = ("all", "dolp", "pan")  # how the names of a result's frames begin
+_MIN_HZ, _MAX_HZ, _MIN_CELL_M = 1e-6, 1e6, 1e-4
+_CHANNELS = ("all", "dolp", "pan")  # first part of the names of a result's frames
 _DEMUXERS = {
     **{".avi": "avi", ".mkv": "matroska", ".webm": "matroska"},
     **{".mpg": "mpeg", ".mpeg": "mpeg", ".gif": "gif"},
 }
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
 STACKS = (".nc", ".nc4", ".h5", ".zarr")
-RASTERS = ((".tif", ".tiff"), (".png",), (".jpg", ".jpeg"), (".jp2",), (".bmp",))  # the first kind counts
-_FASTEST_HZ = 1e6
-SQUARE = 1e-4  # relative difference of the sides of a pixel, or of steps, that is still square and even
+RASTERS = ((".tif", ".tiff"), (".png",), (".jpg", ".jpeg"), (".jp2",), (".bmp",))  # in order of preference
+SQUARE = 1e-4  # relative tolerance of square pixels and regular steps
 
 
 @dataclass(frozen=True)
@@ -48,18 +46,18 @@ class Geotransform:
 
 @dataclass(frozen=True)
 class FrameSource:
-    """Frames to come.
+    """Frames of a source, read one by one.
 
     Parameters
     ----------
     count
-        How many, or None if the file does not say.
+        Number of frames; None if the file does not say.
     crs
-        Of the grid, None if unknown.
+        CRS of the grid; None if unknown.
     dolp
-        Whether the frames carry polarization.
+        True if the frames hold polarization.
     frames
-        Time [s] and Dataset of the schema ``image``, read one by one.
+        Time [s] and Dataset of the schema ``image``.
     """
 
     count: int | None
@@ -71,7 +69,7 @@ class FrameSource:
 def open_frames(
     path: Path, rate_hz: float | None = None, geotransform: Geotransform | None = None
 ) -> FrameSource:
-    """Open what a user calls frames.
+    """Open a source of frames.
 
     Parameters
     ----------
@@ -79,17 +77,17 @@ def open_frames(
         A folder with GeoTIFFs, or PNG, JPEG, JPEG 2000 or BMP files with or without world files (in the order
         of their names, 2 before 10), a NetCDF or Zarr stack with dims time, y, x, or a video.
     rate_hz
-        Frame rate where the files carry no times (the tag ``time_s``, the coordinate ``time``). [Hz]
+        Frame rate if the files have no times (tag ``time_s``, coordinate ``time``). [Hz]
     geotransform
-        Where the pixels lie, for a video or for files that do not say.
+        Position of the pixels, for videos and files without one.
 
     Raises
     ------
     ValueError
-        In one sentence: what the frames must be and what came.
+        In one sentence: the requirement and what was found.
     """
-    if rate_hz is not None and not _SLOWEST_HZ <= rate_hz <= _FASTEST_HZ:
-        raise ValueError(f"`rate` must be {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} Hz, got {rate_hz:g}")
+    if rate_hz is not None and not _MIN_HZ <= rate_hz <= _MAX_HZ:
+        raise ValueError(f"`rate` must be {_MIN_HZ:g} to {_MAX_HZ:g} Hz, got {rate_hz:g}")
     if geotransform is not None:
         _check_grid(geotransform, "`geotransform`")
     suffix = path.suffix.lower()
@@ -106,29 +104,26 @@ def open_frames(
 
 
 def _check_grid(grid: Geotransform, what: str) -> None:
-    """Refuse pixels that no map has."""
-    if not (
-        abs(grid.west_m) <= MAX_COORDINATE_M
-        and abs(grid.north_m) <= MAX_COORDINATE_M
-        and _FINEST_M <= grid.gsd_m <= MAX_CELL_M
-    ):
+    """Refuse pixels that no map can have."""
+    is_near = all(abs(edge_m) <= MAX_COORDINATE_M for edge_m in (grid.west_m, grid.north_m))
+    if not (is_near and _MIN_CELL_M <= grid.gsd_m <= MAX_CELL_M):
         raise ValueError(
-            f"{what} must have edges within ±{MAX_COORDINATE_M:g} m and pixels of {_FINEST_M:g} to "
+            f"{what} must have edges within ±{MAX_COORDINATE_M:g} m and pixels of {_MIN_CELL_M:g} to "
             f"{MAX_CELL_M:g} m, got {grid.west_m:g} {grid.north_m:g} {grid.gsd_m:g}"
         )
 
 
 def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
     kinds = ([p for p in folder.iterdir() if p.suffix.lower() in kind] for kind in RASTERS)
-    files = sorted(next((one for one in kinds if one), []), key=_counted)
+    files = sorted(next((one for one in kinds if one), []), key=_natural_order)
     if not files:
         known = " ".join(suffix for kind in RASTERS for suffix in kind)
         raise ValueError(f"`frames` must be a folder with rasters ({known}), got none in {folder}")
-    loops = sorted({file.name.split("_")[0] for file in files} & set(_LOOPS))
-    if len(loops) > 1:
+    channels = sorted({file.name.split("_")[0] for file in files} & set(_CHANNELS))
+    if len(channels) > 1:
         raise ValueError(
-            f"`frames` must be of one loop of a flight, got {', '.join(loops)} in {folder} (copy one "
-            "loop's into a folder of their own)"
+            f"`frames` must be of one channel, got {', '.join(channels)} in {folder} (copy those of one "
+            "channel into a folder)"
         )
     crs, (_, ground), bands = _raster(files[0], geotransform)
     shape = next(iter(bands.values())).shape
@@ -140,45 +135,44 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
             own, (tag, grid), bands = _raster(file, geotransform)
             _check_same_ground(file, (own, grid, next(iter(bands.values())).shape), (crs, ground, shape))
             if tag is None and rate_hz is None:
-                raise ValueError(
-                    f"`frames` must carry the tag time_s or come with --rate, got neither in {file}"
-                )
+                raise ValueError(f"`frames` must have a tag time_s or need --rate, got neither in {file}")
             yield (k / rate_hz if rate_hz is not None else float(tag or 0.0)), image_of(bands, grid)
 
     return FrameSource(len(files), crs, dolp, frames())
 
 
-def _counted(path: Path) -> list[tuple[int, int, str]]:
-    """Key by which names are in order, 2 before 10."""
+def _natural_order(path: Path) -> list[tuple[int, int, str]]:
+    """Sort key of names with numbers, 2 before 10."""
     parts = re.split(r"([0-9]+)", path.name)
     return [(0, int(part), part) if k % 2 else (1, 0, part) for k, part in enumerate(parts)]
 
 
 def _check_place(crs: str | None, grid: Geotransform) -> None:
-    """Refuse a CRS that is not in metres of the ground where the frames lie."""
+    """Refuse a CRS that is not in metres on the ground of the frames."""
     if crs is not None:
         longitude_latitude(crs, np.array([grid.west_m]), np.array([grid.north_m]))
 
 
 def _check_same_ground(path: Path, mine: tuple, first: tuple) -> None:
-    """Refuse a frame of another CRS, grid or size than the first: a place would be two."""
+    """Refuse a frame of another CRS, grid or size than the first."""
     (crs, grid, shape), (first_crs, first_grid, first_shape) = mine, first
     near = 1e-3 * first_grid.gsd_m
     apart = [abs(a - b) > near for a, b in zip(astuple(grid), astuple(first_grid), strict=True)]
     if crs != first_crs or shape != first_shape or any(apart):
-        told = [
+        texts = [
             f"{of} {place.west_m:.9g}, {place.north_m:.9g}: {size[1]} × {size[0]} cells of {place.gsd_m:g} m"
             for of, place, size in (mine, first)
         ]
         raise ValueError(
-            f"`frames` must all have the first one's CRS, place and size, {told[1]}, got {told[0]} in {path}"
+            f"`frames` must all have the first one's CRS, place and size, {texts[1]}, "
+            f"got {texts[0]} in {path}"
         )
 
 
 def _raster(path: Path, geotransform: Geotransform | None):
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)  # told below
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             file = open_raster(path, "frames", "readable rasters")
         with file:
             t, tag, crs = file.transform, file.tags().get("time_s"), file.crs
@@ -188,7 +182,7 @@ def _raster(path: Path, geotransform: Geotransform | None):
     except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
         raise ValueError(f"`frames` must be readable rasters, got {path}: {error}") from error
     if geotransform is not None and not t.is_identity:
-        warnings.warn("--geotransform stands in for where the frames say that they lie", stacklevel=2)
+        warnings.warn("--geotransform replaces the position in the files", stacklevel=2)
     if geotransform is None:
         if t.is_identity:
             raise ValueError(
@@ -232,7 +226,12 @@ def _stack(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
     if rate_hz is None and "time" not in stack.coords:
         raise ValueError(f"`frames` must have a coordinate time or come with --rate, got neither in {path}")
     count = stack.sizes["time"]
-    times = np.arange(count) / rate_hz if rate_hz is not None else _seconds(stack["time"].values)
+    if rate_hz is not None:
+        times = np.arange(count) / rate_hz
+    elif np.issubdtype((times := stack["time"].values).dtype, np.datetime64):
+        times = (times - times[0]) / np.timedelta64(1, "s")
+    else:
+        times = times.astype(float)
     if not np.isfinite(times).all():
         raise ValueError(f"`time` must be finite at every frame, got others in {path}")
     crs = stack.attrs.get("crs", stack[name].attrs.get("crs"))
@@ -242,10 +241,8 @@ def _stack(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
         with stack:
             for k in range(count):
-                yield (
-                    float(times[k]),
-                    image_of({"pan": stack[name].isel(time=k).values.astype(np.float32)}, grid),
-                )
+                pan = stack[name].isel(time=k).values.astype(np.float32)
+                yield float(times[k]), image_of({"pan": pan}, grid)
 
     return FrameSource(count, crs, False, frames())
 
@@ -266,19 +263,13 @@ def _grid_of(stack: xr.Dataset, path: Path) -> Geotransform:
     return Geotransform(float(x[0]) - gsd / 2, float(y[0]) + gsd / 2, gsd)
 
 
-def _seconds(times: Array) -> Float[Array, "time"]:
-    if np.issubdtype(times.dtype, np.datetime64):
-        return (times - times[0]) / np.timedelta64(1, "s")
-    return times.astype(float)
-
-
 def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
     if geotransform is None:
         raise ValueError(
             f"`frames` must have a geotransform, got the video {path} (give --geotransform WEST NORTH GSD)"
         )
     imageio_ffmpeg = require_extra("imageio_ffmpeg", "video", "read a video")
-    # as what its ending says, and from this file alone: a playlist under another name may call out
+    # in the format of its ending and from this file alone: a playlist could refer to other files
     as_named = ["-protocol_whitelist", "file", "-f", _DEMUXERS.get(path.suffix.lower(), "mov")]
     reader = imageio_ffmpeg.read_frames(str(check_file(path, "frames")), "gray", input_params=as_named)
     try:
@@ -298,7 +289,7 @@ def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
 
 
 def image_of(bands: dict[str, Array], grid: Geotransform) -> xr.Dataset:
-    """Bands on their grid as a Dataset of the schema ``image``; the mean of unnamed bands is pan."""
+    """Dataset of the schema ``image`` from bands on a grid; pan is the mean of unnamed bands."""
     pan = bands["pan"] if "pan" in bands else np.stack(list(bands.values())).mean(axis=0)
     height, width = np.shape(pan)
     if {"I", "Q", "U"} <= set(bands):
@@ -308,17 +299,14 @@ def image_of(bands: dict[str, Array], grid: Geotransform) -> xr.Dataset:
         dolp = np.where(np.isfinite(dolp), dolp, np.nan).astype(np.float32)
     else:
         stokes = np.broadcast_to(np.float32(np.nan), (height, width, 3))
-        dolp = np.broadcast_to(np.float32(np.nan), (height, width))
+        dolp = stokes[..., 0]
     x = grid.west_m + grid.gsd_m * (np.arange(width) + 0.5)
     y = grid.north_m - grid.gsd_m * (np.arange(height) + 0.5)
+    light = {"units": RADIANCE}
     return xr.Dataset(
         {
-            "pan": (("y", "x"), np.where(np.isfinite(pan), pan, np.nan), {"units": RADIANCE}),
-            "stokes_radiance": (
-                ("y", "x", "stokes"),
-                stokes,
-                {"units": RADIANCE, "stokes_frame": "meridian"},
-            ),
+            "pan": (("y", "x"), np.where(np.isfinite(pan), pan, np.nan), light),
+            "stokes_radiance": (("y", "x", "stokes"), stokes, {**light, "stokes_frame": "meridian"}),
             "dolp": (("y", "x"), dolp, {"units": "1"}),
         },
         coords={"y": ("y", y, {"units": "m"}), "x": ("x", x, {"units": "m"}), "stokes": ["I", "Q", "U"]},

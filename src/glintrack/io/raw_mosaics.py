@@ -1,7 +1,7 @@
-"""Raw mosaics of a polarization camera: 8- to 16-bit TIFF, PNG and other rasters, and NumPy files."""
+"""Read raw mosaics of a polarization camera: 8- to 16-bit TIFF, PNG and other rasters, and NumPy files."""
 
-import math
 import warnings
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -12,17 +12,12 @@ from glintrack.core.arrays import Array
 from glintrack.io.untrusted import check_file, open_raster
 
 RAW_SUFFIXES = (".tif", ".tiff", ".png", ".npy")
-_TYPES = (np.dtype(np.uint8), np.dtype(np.uint16))
-_MOST_NPY_BYTES = 800_000_000
-_LONGEST_HEADER = 4096
-_NPY_HEADERS = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
+_MAX_NPY_BYTES = 800_000_000
+_MAX_HEADER_BYTES = 4096
 
 
 def raw_files(sources: list[Path]) -> list[Path]:
-    """Raws of files and of folders, those of a folder in the order of their names.
+    """List raws of files and of folders, those of a folder in the order of their names.
 
     Raises
     ------
@@ -31,78 +26,72 @@ def raw_files(sources: list[Path]) -> list[Path]:
     """
     found: list[Path] = []
     for source in sources:
-        if not source.is_dir():
-            found.append(source)
-            continue
-        inside = sorted(p for p in source.iterdir() if p.suffix.lower() in RAW_SUFFIXES)
+        inside = [source]
+        if source.is_dir():
+            inside = sorted(p for p in source.iterdir() if p.suffix.lower() in RAW_SUFFIXES)
         if not inside:
             raise ValueError(f"`RAW` must hold raws ({' '.join(RAW_SUFFIXES)}), got none in {source}")
         found += inside
-    stems = [path.stem for path in found]
-    twice = sorted({stem for stem in stems if stems.count(stem) > 1})
-    if twice:
-        raise ValueError(f"`RAW` must have names that differ before the ending, got {twice[0]} twice")
+    repeated = sorted(stem for stem, count in Counter(path.stem for path in found).items() if count > 1)
+    if repeated:
+        raise ValueError(f"`RAW` must have names that differ before the ending, got {repeated[0]} twice")
     return found
 
 
 def read_raw(path: str | Path) -> UInt[Array, "row column"]:
-    """Counts of one raw mosaic, as stored.
+    """Read the counts of one raw mosaic, as stored.
 
     Parameters
     ----------
     path
-        ``.npy`` without pickled objects, or a raster of one band; of 8 or 16 bits without sign, which hold
-        10, 12 and 14 bits as well.
+        ``.npy`` without pickled objects, or a raster of one band; unsigned integers of 8 or 16 bits, which
+        hold counts of 10, 12 and 14 bits as well.
 
     Raises
     ------
     ValueError
-        If the file is no such thing.
+        If the file is no raw mosaic.
     """
     path = Path(path)
-    counts = _npy(path) if path.suffix.lower() == ".npy" else _raster(path)
+    counts = _read_npy(path) if path.suffix.lower() == ".npy" else _read_raster(path)
     if counts.size == 0:
         raise ValueError(f"`RAW` must hold elements, got {counts.shape[0]} × {counts.shape[1]} in {path}")
     return counts
 
 
-def _check_kind(path: Path, dtype: np.dtype, bands: int) -> None:
+def _check_type(path: Path, dtype: np.dtype, bands: int) -> None:
     if bands != 1:
         raise ValueError(
             f"`RAW` must be one mosaic, rows × columns, got {bands} bands in {path} (one band as the camera "
             "reads it, before any demosaicking)"
         )
-    if dtype not in _TYPES:
+    if dtype not in (np.uint8, np.uint16):
         raise ValueError(f"`RAW` must hold counts of 8 or 16 bits without sign, got {dtype} in {path}")
 
 
-def _raster(path: Path) -> Array:
+def _read_raster(path: Path) -> Array:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
             with open_raster(path, "RAW", "a raw mosaic") as file:
-                _check_kind(path, np.dtype(file.dtypes[0]), file.count)
+                _check_type(path, np.dtype(file.dtypes[0]), file.count)
                 return file.read(1)
     except rasterio.errors.RasterioError as error:
         raise ValueError(f"`RAW` must be a whole raw mosaic, got {path}") from error
 
 
-def _npy(path: Path) -> Array:
-    """An array of NumPy's own format, its header checked before anything of its size is made."""
-    check_file(path, "RAW", _MOST_NPY_BYTES)
-    with path.open("rb") as file:
-        try:
-            version = np.lib.format.read_magic(file)
-            shape, by_column, dtype = _NPY_HEADERS[version](file, max_header_size=_LONGEST_HEADER)
-        except Exception as error:  # whatever a damaged header makes a parser of Python say
-            raise ValueError(f"`RAW` must be a NumPy file, got {path} with another header") from error
-        if dtype.hasobject or len(shape) != 2:
-            raise ValueError(
-                f"`RAW` must be one mosaic, rows × columns, got {dtype} of shape {shape} in {path}"
-            )
-        _check_kind(path, dtype.newbyteorder("="), 1)
-        data = file.read()
-    if len(data) != math.prod(shape) * dtype.itemsize:
-        raise ValueError(f"`RAW` must be a whole NumPy file, got {path} with another size than its header's")
-    counts = np.frombuffer(data, dtype).reshape(shape, order="F" if by_column else "C")
-    return np.ascontiguousarray(counts, dtype.newbyteorder("="))
+def _read_npy(path: Path) -> Array:
+    """Array of a NumPy file, mapped so that its header is checked against its size before it is read."""
+    check_file(path, "RAW", _MAX_NPY_BYTES)
+    try:
+        mapped = np.load(path, mmap_mode="r", allow_pickle=False, max_header_size=_MAX_HEADER_BYTES)
+    except Exception as error:  # whatever a damaged header makes the parser raise
+        raise ValueError(
+            f"`RAW` must be a whole NumPy file, got {path} with another header or size"
+        ) from error
+    if not isinstance(mapped, np.ndarray) or mapped.ndim != 2:
+        shape = getattr(mapped, "shape", "no array")
+        raise ValueError(f"`RAW` must be one mosaic, rows × columns, got {shape} in {path}")
+    dtype = mapped.dtype.newbyteorder("=")
+    _check_type(path, dtype, 1)
+    return np.array(mapped, dtype, order="C")

@@ -1,4 +1,4 @@
-"""Tables: CSV in and out, Parquet out."""
+"""Read CSV tables, and write CSV and Parquet tables."""
 
 import codecs
 import csv
@@ -7,18 +7,17 @@ import re
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet
+import xarray as xr
 
 from glintrack.io.atomic import write_bytes
 from glintrack.io.untrusted import MAX_TEXT_BYTES, check_file, plain
 
-if TYPE_CHECKING:  # a process that solves a wire grid reads no table and loads none of it
-    import pandas as pd
-    import xarray as xr
-
-_MOST_COLUMNS, _WIDEST = 5000, 10_000_000  # of a table; bytes of its first row that are looked at
+_MAX_COLUMNS, _MAX_ROW_BYTES = 5000, 10_000_000  # of a table; of its first row that are read
 _COMMENT = re.compile(rb"^[ \t]*#[^\n]*\n?", re.MULTILINE)
 
 
@@ -31,98 +30,77 @@ def read_csv(
     only: Callable[[Any], bool] | None = None,
     comments: bool = True,
     most_bytes: int | None = MAX_TEXT_BYTES,
-) -> "pd.DataFrame":
-    """A CSV file with a header row, in UTF-8; spaces around names and before cells are left out.
+) -> pd.DataFrame:
+    """Read a CSV file with a header row in UTF-8; spaces around names and before cells are removed.
 
     Parameters
     ----------
     path, name
-        The file, and what it is in the error.
+        File, and its name in error messages.
     separator
-        Between cells.
+        Separator of cells.
     types
-        ``str`` for cells as text, an empty one as an empty text; or types by column; else what they look
-        like.
+        ``str`` for cells as text (empty cells as empty texts); or types by column; None to infer them.
     only
-        Says of a column's name whether it is read.
+        Returns True for the names of columns to read.
     comments
-        Leave out lines that begin with ``#``. Where not, the file is read piece by piece.
+        Leave out lines that begin with ``#``. If False, the file is read piece by piece.
     most_bytes
-        Larger files are refused; None for no limit.
+        Maximum size of the file; None for no limit. [byte]
 
     Raises
     ------
     ValueError
         If the file cannot be read, is too large, has no header, or a row is longer than the header.
     """
-    import pandas as pd
-
     path = check_file(path, name, most_bytes)
-    _check_width(path, name, separator)
-    options: dict[str, Any] = {"dtype": types, "usecols": only, "keep_default_na": types is not str}
+    header = b""
     try:
-        source = (
-            io.BytesIO(_COMMENT.sub(b"", path.read_bytes().removeprefix(codecs.BOM_UTF8)))
-            if comments
-            else path
-        )
+        with path.open("rb") as file:
+            lines = iter(lambda: file.readline(_MAX_ROW_BYTES), b"")
+            header = next((line for line in lines if line[:1] != b"#"), b"")
+        if (columns := header.count(separator.encode()) + 1) > _MAX_COLUMNS:
+            raise ValueError(f"more than {_MAX_COLUMNS} columns ({columns})")
+        source: Any = path
+        if comments:
+            source = io.BytesIO(_COMMENT.sub(b"", path.read_bytes().removeprefix(codecs.BOM_UTF8)))
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
-            options |= {"index_col": False, "skipinitialspace": True, "encoding": "utf-8-sig"}
-            table = pd.read_csv(source, sep=separator, **options)
+            table = pd.read_csv(
+                source,
+                sep=separator,
+                dtype=types,
+                usecols=only,
+                keep_default_na=types is not str,
+                index_col=False,
+                skipinitialspace=True,
+                encoding="utf-8-sig",
+            )
     except pd.errors.EmptyDataError as error:
         raise ValueError(f"`{name}` must have a header row, got the empty file {path}") from error
     except OSError as error:
         raise ValueError(f"`{name}` must be a readable CSV file, got {path} ({error.strerror})") from error
     except (ValueError, TypeError, OverflowError, csv.Error, pd.errors.ParserWarning) as error:
         reason = plain(str(error).strip().splitlines()[-1], 200)
-        if separator == "," and b";" in _first_line(path):
+        if separator == "," and b";" in header:
             reason = "its columns are separated by semicolons (use commas, and points in numbers)"
         raise ValueError(f"`{name}` must be a CSV file in UTF-8, got {path}: {reason}") from error
     table.columns = [str(column).strip() for column in table.columns]
     return table.fillna("") if types is str else table
 
 
-def _check_width(path: Path, name: str, separator: str) -> None:
-    """Refuse a table of more columns than any has; each costs pandas a tenth of a millisecond."""
-    columns = _first_line(path).count(separator.encode()) + 1
-    if columns > _MOST_COLUMNS:
-        raise ValueError(f"`{name}` must have at most {_MOST_COLUMNS} columns, got {columns} in {path}")
-
-
-def _first_line(path: Path) -> bytes:
-    """Of a table, without comments; empty where it cannot be read, which is told by who reads it."""
-    try:
-        with path.open("rb") as file:
-            lines = iter(lambda: file.readline(_WIDEST), b"")
-            return next((line for line in lines if line[:1] != b"#"), b"")
-    except OSError:
-        return b""
-
-
-def write_table(path: Path, rows: "xr.Dataset", columns: Mapping[str, str]) -> None:
-    """A dataset with dim ``row`` as CSV: column -> variable, those it has, in order."""
+def write_table(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> None:
+    """Write a dataset with dim ``row`` as CSV; ``columns`` maps columns to its variables, if it has them."""
     if rows.sizes.get("row"):
-        columns = {column: name for column, name in columns.items() if name in rows}
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        if rows.sizes.get("row"):
-            values = [rows[name].values for name in columns.values()]
-            writer.writerows(zip(*([_cell(v) for v in column] for column in values), strict=True))
+        table = pd.DataFrame({column: rows[name].values for column, name in columns.items() if name in rows})
+        table = table.astype({str(column): int for column in table.select_dtypes(bool)})
+    else:
+        table = pd.DataFrame(columns=list(columns))
+    table.to_csv(path, index=False, float_format="%.6g", na_rep="nan", lineterminator="\r\n")
 
 
-def _cell(value) -> str:
-    if isinstance(value, str):
-        return value
-    return str(int(value)) if isinstance(value, (int, np.integer)) else f"{float(value):.6g}"
-
-
-def write_parquet(path: Path, rows: "xr.Dataset", columns: Mapping[str, str]) -> None:
-    """A dataset with dim ``row`` as Parquet: column -> variable, those it has; fields carry units."""
-    import pyarrow as pa
-    import pyarrow.parquet
-
+def write_parquet(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> None:
+    """Write a dataset with dim ``row`` as Parquet, as `write_table`; the fields have units."""
     columns = {column: name for column, name in columns.items() if name in rows}
     names = list(columns.values())
     units = [{"units": str(rows[name].attrs.get("units", "1"))} for name in names]

@@ -1,13 +1,12 @@
-"""Tracks as files, one table in every format of `WRITERS`; the truth's ways and boxes beside them.
+"""Write tracks as files, in every format of `WRITERS`, and paths and boxes of the truth.
 
-A format is a function of the table and of its `TrackGeoreference`, and an entry of `WRITERS`: a run,
-``glintrack track``, its help and the tests take them from there.
+A format is a function of the table and of its `TrackGeoreference`, and an entry of `WRITERS`. Runs,
+``glintrack track``, its help and the tests use all entries.
 """
 
-import html
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +17,7 @@ import xarray as xr
 from glintrack.io.atomic import write_bytes, write_text
 from glintrack.io.crs import longitude_latitude
 
-# column of the file -> variable of the rows; ``status`` follows: measured at that epoch, or coasted
+# column of the file -> variable of the rows; the column ``status`` follows
 TRACK_COLUMNS: Mapping[str, str] = {
     "time_s": "time_s",
     "track_id": "track_id",
@@ -30,23 +29,23 @@ TRACK_COLUMNS: Mapping[str, str] = {
     "north_var_m2": "north_var",
     "east_north_cov_m2": "east_north_cov",
 }
-BOX_M = 5.0  # side of a track's box in MOTChallenge, about a car's length
-_CAR = 3  # MOTChallenge's class
+BOX_M = 5.0  # side of a track's box in MOTChallenge, about the length of a car
+_CAR = 3  # class of MOTChallenge
 
 
 @dataclass(frozen=True)
 class TrackGeoreference:
-    """Where and when tracks lie, for formats that need more than their table.
+    """Position and times of tracks, for formats that need more than their table.
 
     Parameters
     ----------
     crs, origin_m
-        Projected CRS in metres, and where east and north 0 lie in it [m]; without it nothing geographic is
-        written.
+        Projected CRS in metres, and position of east and north 0 in it [m]. Without a CRS no geographic
+        format is written.
     north_west_m, cell_m
-        Outer corner and side of the first pixel of the frames, in which MOTChallenge counts. [m]
+        Outer corner and side of the frames' first pixel, for MOTChallenge. [m]
     times_s
-        Every epoch, with or without tracks: MOTChallenge's frames. By default those of the tracks. [s]
+        All epochs, with or without tracks: frames of MOTChallenge. By default those of the tracks. [s]
     """
 
     crs: str | None = None
@@ -57,7 +56,7 @@ class TrackGeoreference:
 
 
 def track_table(rows: xr.Dataset) -> pd.DataFrame:
-    """Rows of tracks as the table that every format holds: `TRACK_COLUMNS` and ``status``."""
+    """Table of tracks with `TRACK_COLUMNS` and ``status``: measured, coasted or tentative."""
     missing = np.full(rows.sizes.get("row", 0), np.nan)
     columns = {c: np.asarray(rows[v].values) if v in rows else missing for c, v in TRACK_COLUMNS.items()}
     table = pd.DataFrame(columns)
@@ -70,27 +69,27 @@ def track_table(rows: xr.Dataset) -> pd.DataFrame:
 
 
 def write_tracks(folder: Path, rows: xr.Dataset, stem: str, place: TrackGeoreference) -> list[str]:
-    """Tracks in every format of `WRITERS`.
+    """Write tracks in every format of `WRITERS`.
 
     Parameters
     ----------
     folder
         Existing folder.
     rows
-        One row per confirmed track and frame.
+        One row for each confirmed track and frame.
     stem
-        Of the file names.
+        Stem of the file names.
     place
-        Where and when they lie.
+        Position and times.
 
     Returns
     -------
-    Names of the files. Those that must be geographic are left out where there is no CRS.
+    Names of the files, without geographic formats if there is no CRS.
 
     Raises
     ------
     ValueError
-        If the CRS is none, not in metres of the ground there, or the places lie nowhere in it.
+        If the CRS is invalid, not in metres on the ground, or the positions are outside it.
     """
     table, names = track_table(rows), []
     for ending, write in WRITERS.items():
@@ -101,31 +100,30 @@ def write_tracks(folder: Path, rows: xr.Dataset, stem: str, place: TrackGeorefer
     return names
 
 
-def write_ways(path: Path, rows: xr.Dataset, place: TrackGeoreference) -> None:
-    """Ways of the truth's vehicles as GeoJSON lines in WGS 84 (RFC 7946), with the times of their points."""
-    table = pd.DataFrame({name: np.empty(0) for name in ("time_s", "vehicle_id", "east_m", "north_m")})
-    if rows.sizes.get("row"):
-        columns = {"time_s": "time_s", "vehicle_id": "vehicle_id", "east_m": "east", "north_m": "north"}
-        table = pd.DataFrame({c: rows[v].values for c, v in columns.items()})
-    write_text(path, json.dumps(_collection(_lines(table, place, "vehicle_id"), "vehicle_id")))
+def write_paths(path: Path, rows: xr.Dataset, place: TrackGeoreference) -> None:
+    """Write paths of the truth's vehicles as GeoJSON lines in WGS 84 (RFC 7946), with their times."""
+    columns = {"time_s": "time_s", "vehicle_id": "vehicle_id", "east_m": "east", "north_m": "north"}
+    any_rows = rows.sizes.get("row")
+    table = pd.DataFrame({c: rows[v].values if any_rows else np.empty(0) for c, v in columns.items()})
+    write_text(path, json.dumps(_feature_collection(table, place, "vehicle_id")))
 
 
 def write_mot_truth(
     path: Path, rows: xr.Dataset, area_m: tuple[float, float, float, float], place: TrackGeoreference
 ) -> None:
-    """Truth as MOTChallenge ground truth, in the pixels and frames of the tracks' own file.
+    """Write truth as MOTChallenge ground truth, in the pixels and frames of the tracks' file.
 
     Parameters
     ----------
     path
-        Where to write: frame, id, left, top, width, height, 1, class, visible fraction. Frames, ids and
-        pixels count from 1, as there; the class is 3, a car, for every vehicle.
+        File to write: frame, id, left, top, width, height, 1, class, visible fraction. Frames, ids and
+        pixels count from 1; the class is 3, a car, for every vehicle.
     rows
-        ``/truth`` of a result; who is outside the area is left out.
+        ``/truth`` of a result; vehicles outside the area are left out.
     area_m
         West, south, east, north of the frames. [m]
     place
-        Of the tracks.
+        Position and times of the tracks.
     """
     lines = []
     if rows.sizes.get("row"):
@@ -165,17 +163,37 @@ def _mot(table: pd.DataFrame, place: TrackGeoreference) -> bytes:
 def _geojson(table: pd.DataFrame, place: TrackGeoreference) -> bytes | None:
     if place.crs is None:
         return None
-    return json.dumps(_collection(_lines(table, place, "track_id"), "track_id")).encode()
+    return json.dumps(_feature_collection(table, place, "track_id")).encode()
 
 
 def _kml(table: pd.DataFrame, place: TrackGeoreference) -> bytes | None:
-    return None if place.crs is None else _placemarks(_lines(table, place, "track_id"), "tracks").encode()
+    if place.crs is None:
+        return None
+    placemarks = []
+    for ident, _, points in _lines(table, place, "track_id"):
+        text = " ".join(f"{x:.8f},{y:.8f},0" for x, y in points)
+        shape = "LineString" if len(points) > 1 else "Point"
+        placemarks.append(
+            f"<Placemark><name>track {ident}</name><{shape}><coordinates>{text}</coordinates>"
+            f"</{shape}></Placemark>"
+        )
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
+        f"<name>tracks</name>{''.join(placemarks)}</Document></kml>\n"
+    ).encode()
 
 
 def _czml(table: pd.DataFrame, place: TrackGeoreference) -> bytes | None:
+    """Cesium's time-dynamic form; second 0 is an arbitrary epoch, because a run has no calendar."""
     if place.crs is None:
         return None
-    return json.dumps(_packets(_lines(table, place, "track_id"), "tracks")).encode()
+    packets: list[dict] = [{"id": "document", "name": "tracks", "version": "1.0"}]
+    for ident, times_s, points in _lines(table, place, "track_id"):
+        samples = [v for t, (x, y) in zip(times_s, points, strict=True) for v in (t, x, y, 0.0)]
+        position = {"epoch": "2000-01-01T00:00:00Z", "cartographicDegrees": samples}
+        point = {"pixelSize": 6, "heightReference": "CLAMP_TO_GROUND"}
+        packets.append({"id": f"track-{ident}", "position": position, "point": point})
+    return json.dumps(packets).encode()
 
 
 WRITERS: Mapping[str, Callable[[pd.DataFrame, TrackGeoreference], bytes | None]] = {
@@ -189,13 +207,13 @@ WRITERS: Mapping[str, Callable[[pd.DataFrame, TrackGeoreference], bytes | None]]
 
 
 def _frames(times_s: np.ndarray, place: TrackGeoreference) -> np.ndarray:
-    """Number of the frame at each time, from 1."""
+    """Frame number at each time, from 1."""
     epochs = np.unique(place.times_s if len(place.times_s) else times_s)
     return np.searchsorted(epochs, times_s - 1e-9) + 1
 
 
 def _boxes(east, north, wide_m, high_m, place: TrackGeoreference) -> list[str]:
-    """Left, top, width and height of boxes about some places. [pixel]"""
+    """Left, top, width and height of boxes around positions. [pixel]"""
     west, top = place.north_west_m
     left = (east - wide_m / 2 - west) / place.cell_m + 1
     upper = (top - north - high_m / 2) / place.cell_m + 1
@@ -203,62 +221,23 @@ def _boxes(east, north, wide_m, high_m, place: TrackGeoreference) -> list[str]:
     return [",".join(f"{v:.2f}" for v in box) for box in sides]
 
 
-@dataclass(frozen=True)
-class _Line:
-    ident: int
-    time_s: list[float]
-    points: list[list[float]]
-
-
-def _lines(table: pd.DataFrame, place: TrackGeoreference, ident_name: str) -> list[_Line]:
-    """Ways in longitude and latitude, one an id."""
+def _lines(
+    table: pd.DataFrame, place: TrackGeoreference, id_column: str
+) -> Iterator[tuple[int, list[float], list[list[float]]]]:
+    """Id, times [s] and points (longitude, latitude) [°] of each track or vehicle."""
     easting, northing = table["east_m"] + place.origin_m[0], table["north_m"] + place.origin_m[1]
     x, y = longitude_latitude(place.crs, easting.to_numpy(), northing.to_numpy())
-    t = table["time_s"].to_numpy()
-    out = []
-    for ident, mine in table.groupby(ident_name).indices.items():
-        points = [[round(float(x[k]), 8), round(float(y[k]), 8)] for k in mine]
-        out.append(_Line(int(str(ident)), [round(float(t[k]), 6) for k in mine], points))
-    return out
+    t, points = table["time_s"].to_numpy(float).round(6), np.round(np.column_stack([x, y]), 8)
+    for ident, rows in table.groupby(id_column).indices.items():
+        yield int(str(ident)), t[rows].tolist(), points[rows].tolist()
 
 
-def _collection(lines: list[_Line], ident_name: str) -> dict:
+def _feature_collection(table: pd.DataFrame, place: TrackGeoreference, id_column: str) -> dict:
     features = []
-    for line in lines:
-        shape = {"type": "LineString", "coordinates": line.points}
-        if len(line.points) == 1:
-            shape = {"type": "Point", "coordinates": line.points[0]}
-        properties = {ident_name: line.ident, "time_s": line.time_s}
+    for ident, times_s, points in _lines(table, place, id_column):
+        shape = {"type": "LineString", "coordinates": points}
+        if len(points) == 1:
+            shape = {"type": "Point", "coordinates": points[0]}
+        properties = {id_column: ident, "time_s": times_s}
         features.append({"type": "Feature", "geometry": shape, "properties": properties})
     return {"type": "FeatureCollection", "features": features}
-
-
-def _placemarks(lines: list[_Line], name: str) -> str:
-    placemarks = []
-    for line in lines:
-        points = " ".join(f"{x:.8f},{y:.8f},0" for x, y in line.points)
-        shape = "LineString" if len(line.points) > 1 else "Point"
-        placemarks.append(
-            f"<Placemark><name>track {line.ident}</name><{shape}><coordinates>{points}</coordinates>"
-            f"</{shape}></Placemark>"
-        )
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
-        f"<name>{html.escape(name)}</name>{''.join(placemarks)}</Document></kml>\n"
-    )
-
-
-def _packets(lines: list[_Line], name: str) -> list[dict]:
-    """Cesium's time-dynamic form; second 0 is an epoch of its own, since a run has no calendar."""
-    epoch = "2000-01-01T00:00:00Z"
-    packets: list[dict] = [{"id": "document", "name": name, "version": "1.0"}]
-    for line in lines:
-        samples = [v for t, (x, y) in zip(line.time_s, line.points, strict=True) for v in (t, x, y, 0.0)]
-        packets.append(
-            {
-                "id": f"track-{line.ident}",
-                "position": {"epoch": epoch, "cartographicDegrees": samples},
-                "point": {"pixelSize": 6, "heightReference": "CLAMP_TO_GROUND"},
-            }
-        )
-    return packets

@@ -1,12 +1,12 @@
-"""Read files of others safely: nothing in them can hang, crash, swell or call out.
+"""Read untrusted files: they cannot block or crash the program, fill its memory or refer to other files.
 
-All readers of a user's files go through this module, and it imports nothing else of ours.
+All readers of a user's files use this module. It imports nothing else of ours.
 
-- Text and archives are bounded by size.
-- NetCDF-4 files are read once in a process with bounds on its time and memory, because HDF5 loops or crashes
-  on some damaged files. Links to other files and more data than a file of its size can hold are refused.
-  That process runs this module as a program.
-- Rasters are opened by named drivers alone, which neither follow references nor reach a network.
+- Text and archives have a largest size.
+- NetCDF-4 files are first read in a process with limited time and memory, because HDF5 loops or crashes on
+  some damaged files. That process runs this module as a program. Links to other files are refused, and more
+  data than a file of its size can hold.
+- Rasters are opened only by drivers that neither follow references nor use a network.
 """
 
 import contextlib
@@ -31,7 +31,7 @@ if TYPE_CHECKING:  # a command line is checked without these libraries
     import rasterio
 
 MAX_TEXT_BYTES = 256_000_000
-MAX_COORDINATE_M, MAX_CELL_M = 1e8, 1e5  # no projected coordinate is larger; no cell of a map is
+MAX_COORDINATE_M, MAX_CELL_M = 1e8, 1e5  # of projected coordinates and cells of a map
 MIN_HEIGHT_M, MAX_HEIGHT_M = -500.0, 9000.0  # of ground and roofs: the Dead Sea's shore, Everest
 _MAX_MESSAGE_LENGTH = 2000
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -53,7 +53,7 @@ _PROJ_VARIABLES = ("PROJ_DATA", "PROJ_LIB")
 
 
 def plain(message: object, most: int = _MAX_MESSAGE_LENGTH) -> str:
-    """A message for a terminal: control codes and what turns text around escaped, of bounded length."""
+    """Message for a terminal: control codes and codes that reverse text escaped, of limited length."""
     text = re.sub(
         r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]",
         lambda found: found[0].encode("unicode_escape").decode("ascii"),
@@ -63,7 +63,7 @@ def plain(message: object, most: int = _MAX_MESSAGE_LENGTH) -> str:
 
 
 def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Path:
-    """Refuse what is no regular file (a device or a pipe may never end), or a larger one than is read.
+    """Refuse a path that is no regular file (a device or a pipe may never end), or too large a file.
 
     Raises
     ------
@@ -87,36 +87,40 @@ def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Pa
 
 
 def resolve_path(path: str | Path) -> Path:
-    """A path from the root on, links followed; one of links in a circle stays, told when it is read."""
+    """Absolute path with links followed; a circle of links remains, and is an error when it is read."""
     return Path(os.path.realpath(path))
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is a file; none has a name that the system refuses."""
+    """Return True if there is a file; False for a name that the system refuses."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # too long, or with a NUL
         return False
 
 
+def _read(path: str | Path, name: str, most_bytes: int) -> bytes:
+    path = check_file(path, name, most_bytes)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"`{name}` must be a readable file, got {path} ({error.strerror})") from error
+
+
 def read_bytes(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> bytes:
-    """The bytes of a file, unzipped if they are gzip's; both bounded.
+    """Bytes of a file, unzipped if it is a gzip archive; both of limited size.
 
     Raises
     ------
     ValueError
-        If the file cannot be read, is a damaged archive, or holds too much.
+        If the file cannot be read, is a damaged archive, or is too large.
     """
-    path = check_file(path, name, most_bytes)
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"`{name}` must be a readable file, got {path} ({error.strerror})") from error
-    return unzip(content, path, name, most_bytes) if content[:2] == b"\x1f\x8b" else content
+    content = _read(path, name, most_bytes)
+    return unzip(content, Path(path), name, most_bytes) if content[:2] == b"\x1f\x8b" else content
 
 
 def unzip(content: bytes, path: Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> bytes:
-    """What a gzip archive of one or several members holds; refused when it is more than ``most_bytes``.
+    """Content of a gzip archive of one or several members, at most ``most_bytes``.
 
     Raises
     ------
@@ -141,24 +145,21 @@ def unzip(content: bytes, path: Path, name: str, most_bytes: int = MAX_TEXT_BYTE
 
 
 def read_text(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> str:
-    """The text of a UTF-8 file, without a byte-order mark.
+    """Text of a UTF-8 file, without a byte-order mark.
 
     Raises
     ------
     ValueError
         If the file cannot be read, is too large or not UTF-8.
     """
-    path = check_file(path, name, most_bytes)
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise ValueError(f"`{name}` must be a readable file, got {path} ({error.strerror})") from error
+        return _read(path, name, most_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"`{name}` must be UTF-8 text, got {path} with a byte that is not") from error
 
 
 def read_json(path: str | Path, name: str) -> Any:
-    """What a JSON file says.
+    """Content of a JSON file.
 
     Raises
     ------
@@ -209,12 +210,12 @@ def _netcdf_fault(path: str, size: int, _changed_ns: int) -> str:
     return plain(done.stdout.decode("utf-8", "replace").strip(), 200)
 
 
-class _Refused(Exception):
-    """What is wrong, in a few words."""
+class _FaultError(Exception):
+    """A fault of a file, in a few words."""
 
 
-def _read_all(path: Path) -> None:
-    """Visit every group, attribute and chunk of a file."""
+def _visit_all(path: Path) -> None:
+    """Read every group, attribute and chunk of a file."""
     import h5py
 
     size = path.stat().st_size
@@ -224,44 +225,44 @@ def _read_all(path: Path) -> None:
         seen = {h5py.h5o.get_info(file.id).addr}  # pyright: ignore[reportAttributeAccessIssue]
         while waiting:
             group, depth = waiting.pop()
-            _read_attributes(group)
+            _check_attributes(group)
             for name in group:
                 if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                    raise _Refused("it links to elsewhere")
+                    raise _FaultError("it links to elsewhere")
                 item = group[name]
                 count += 1
                 if count > _MAX_OBJECTS or depth > _MAX_DEPTH:
-                    raise _Refused("it holds too many groups and variables")
+                    raise _FaultError("it holds too many groups and variables")
                 address = h5py.h5o.get_info(item.id).addr  # pyright: ignore[reportAttributeAccessIssue]
                 if address in seen:
-                    raise _Refused("one variable has two names")
+                    raise _FaultError("one variable has two names")
                 seen.add(address)
                 if isinstance(item, h5py.Group):
                     waiting.append((item, depth + 1))
                 elif isinstance(item, h5py.Dataset):
-                    _read_attributes(item)
+                    _check_attributes(item)
                     total += item.nbytes
                     if total > min(_MAX_BYTES, max(_ALWAYS_ALLOWED_BYTES, _MAX_RATIO * size)):
-                        raise _Refused(f"it says to hold {total / 1e6:.0f} MB in {size / 1e6:.3f}")
-                    _read_data(item)
+                        raise _FaultError(f"it says to hold {total / 1e6:.0f} MB in {size / 1e6:.3f}")
+                    _check_data(item)
 
 
-def _read_attributes(item: "h5py.Group | h5py.Dataset") -> None:
+def _check_attributes(item: "h5py.Group | h5py.Dataset") -> None:
     for value in item.attrs.values():
         if isinstance(value, (str, bytes)) and len(value) > _MAX_STRING_BYTES:
-            raise _Refused("a text in it is too long")
+            raise _FaultError("a text in it is too long")
 
 
-def _read_data(data: "h5py.Dataset") -> None:
+def _check_data(data: "h5py.Dataset") -> None:
     if data.external or data.is_virtual:
-        raise _Refused("its data lie in other files")
+        raise _FaultError("its data lie in other files")
     if data.shape is None or not data.size:
         return
     if not data.shape:
         data[()]
         return
     if data.dtype.kind == "O" and data.size > _MAX_STRING_BYTES:
-        raise _Refused("it holds too many texts")
+        raise _FaultError("it holds too many texts")
     rows = max(int(_SLAB_BYTES // max(data.nbytes / data.shape[0], 1)), 1)
     for start in range(0, data.shape[0], rows):
         np.asarray(data[start : start + rows])
@@ -270,8 +271,8 @@ def _read_data(data: "h5py.Dataset") -> None:
 def _hdf5_fault(path: Path) -> str:
     """Read an HDF5 file in this process and return what is wrong with it; empty if nothing is."""
     try:
-        _read_all(path)
-    except _Refused as reason:
+        _visit_all(path)
+    except _FaultError as reason:
         return str(reason)
     except MemoryError:
         return "it takes too much memory"
@@ -281,18 +282,19 @@ def _hdf5_fault(path: Path) -> str:
 
 
 def _limit_resources(size: int) -> None:
-    """Limit the time and memory of this process for a file of that size. [byte]"""
+    """Limit time and memory of this process for a file of that size. [byte]"""
     try:
         import resource
     except ImportError:  # on Windows only the waiting process's time limit holds
         return
     seconds = int(_CPU_S + size / _BYTES_PER_CPU_S)
-    limits = ((resource.RLIMIT_CPU, seconds), (resource.RLIMIT_AS, _MAX_MEMORY_BYTES))
-    for limit, most in limits:
+    for limit, soft, hard in (
+        (resource.RLIMIT_CPU, seconds, seconds + 1),
+        (resource.RLIMIT_AS, _MAX_MEMORY_BYTES, _MAX_MEMORY_BYTES + 1),
+        (resource.RLIMIT_CORE, 0, 0),
+    ):
         with contextlib.suppress(ValueError, OSError):  # a lower limit holds already
-            resource.setrlimit(limit, (most, most + 1))
-    with contextlib.suppress(ValueError, OSError):
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            resource.setrlimit(limit, (soft, hard))
 
 
 def open_raster(path: str | Path, name: str, requirement: str = "a raster") -> "rasterio.DatasetReader":
@@ -317,59 +319,51 @@ def open_raster(path: str | Path, name: str, requirement: str = "a raster") -> "
     if file is None:
         kinds = "GeoTIFF, PNG, JPEG, JPEG 2000, WebP, BMP, ENVI, ESRI or DTED"
         raise ValueError(f"`{name}` must be {requirement} ({kinds}), got {path}")
+    cells, corner = file.width * file.height * file.count, tuple(file.transform)[:6]
+    fault = ""
     if file.driver == "PNG" and not _is_whole_png(path):
-        file.close()
-        raise ValueError(f"`{name}` must be a whole PNG file, got {path}, which is cut off or damaged")
-    cells = file.width * file.height * file.count
-    if cells > _MAX_CELLS or cells > max(_ALWAYS_ALLOWED_CELLS, _MAX_CELLS_PER_BYTE * path.stat().st_size):
-        file.close()
-        raise ValueError(
+        fault = f"`{name}` must be a whole PNG file, got {path}, which is cut off or damaged"
+    elif cells > min(_MAX_CELLS, max(_ALWAYS_ALLOWED_CELLS, _MAX_CELLS_PER_BYTE * path.stat().st_size)):
+        fault = (
             f"`{name}` must have at most {_MAX_CELLS:.0e} cells, and data for them, got {path} with "
             f"{file.width} × {file.height} × {file.count}"
         )
-    placed = tuple(file.transform)[:6]
-    if not all(abs(value) <= MAX_COORDINATE_M for value in placed):
-        file.close()
-        raise ValueError(
-            f"`{name}` must have a finite geotransform within ±{MAX_COORDINATE_M:g}, got {placed} in {path}"
+    elif not all(abs(value) <= MAX_COORDINATE_M for value in corner):
+        fault = (
+            f"`{name}` must have a finite geotransform within ±{MAX_COORDINATE_M:g}, got {corner} in {path}"
         )
+    if fault:
+        file.close()
+        raise ValueError(fault)
     return file
 
 
 def _is_whole_png(path: Path) -> bool:
-    """Whether all chunks of a PNG file are there and have the sum that they tell.
+    """Return True if all chunks of a PNG file are complete; GDAL does not report missing ones."""
+    from PIL.PngImagePlugin import ChunkStream
 
-    GDAL gives what its memory happened to hold in the place of what is missing, and no error.
-    """
-    size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(8)  # the signature, which the driver knows
-        while len(head := file.read(8)) == 8:
-            length, kind = struct.unpack(">I4s", head)
-            if length > size:  # no memory is asked for what is not there
-                return False
-            body, told = file.read(length), file.read(4)
-            if len(told) < 4 or zlib.crc32(kind + body) != int.from_bytes(told, "big"):
-                return False
-            if kind == b"IEND":
-                return True
-    return False
+        try:
+            return ChunkStream(file).verify() is not None
+        except (OSError, SyntaxError, ValueError, struct.error):
+            return False
 
 
 def check_heights(values: Float[np.ndarray, "..."], name: str, path: str | Path) -> None:
-    """Refuse heights that no ground has: a void's filler value, or another unit.
+    """Refuse heights that no ground has: a filler value of missing data, or another unit.
 
     Raises
     ------
     ValueError
-        With how many, one of them, and the remedy.
+        With the share of such heights, one of them, and the remedy.
     """
-    told = np.isfinite(values)
-    bad = told & ((values < MIN_HEIGHT_M) | (values > MAX_HEIGHT_M))
+    known = np.isfinite(values)
+    bad = known & ((values < MIN_HEIGHT_M) | (values > MAX_HEIGHT_M))
     if bad.any():
         raise ValueError(
             f"`{name}` must hold heights of {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m, got "
-            f"{values[bad].flat[0]:g} in {100 * bad.sum() / told.sum():.2g} % of {path} "
+            f"{values[bad].flat[0]:g} in {100 * bad.sum() / known.sum():.2g} % of {path} "
             "(mark missing heights: gdal_edit.py -a_nodata …)"
         )
 
@@ -378,8 +372,8 @@ def check_heights(values: Float[np.ndarray, "..."], name: str, path: str | Path)
 def use_own_proj() -> None:
     """Ignore PROJ_DATA and PROJ_LIB, with a warning, where they name a database that rasterio cannot read.
 
-    SUMO's Python package, conda environments and database servers set them for a PROJ of their own; rasterio
-    then knows no EPSG code. Called before rasters are read or written.
+    SUMO's Python package, conda environments and database servers set them for a PROJ of their own. Then
+    rasterio knows no EPSG code. Call it before rasters are read or written.
     """
     named = {name: os.environ[name] for name in _PROJ_VARIABLES if os.environ.get(name)}
     if not named or _knows_epsg():

@@ -70,7 +70,7 @@ def run(
             callback(epoch)
 
     try:
-        tree = simulate(design, measure, detectors=detectors, pictured=recorder.picture)
+        tree = simulate(design, measure, detectors=detectors, on_image=recorder.picture)
         if budgets := steps.budgets(tree):
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in budgets.items()})
             tree = tree.assign({"bound": bound})

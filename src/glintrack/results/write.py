@@ -20,7 +20,7 @@ from glintrack.io.images import write_figure
 from glintrack.io.netcdf import write_tree
 from glintrack.io.tables import write_parquet, write_table
 from glintrack.io.toml import to_toml
-from glintrack.io.tracks import TrackGeoreference, write_mot_truth, write_tracks, write_ways
+from glintrack.io.tracks import TrackGeoreference, write_mot_truth, write_paths, write_tracks
 from glintrack.results.epoch import BOX_COLUMNS
 from glintrack.results.figures import LOOP_COLOURS
 from glintrack.results.figures import devices as plot_devices
@@ -96,7 +96,7 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     truth, times_s = _node(tree, "truth"), _node(tree, case.channels[0])["time"].values.tolist()
     corner_m = city.extent_m[0], city.extent_m[3]
     place = TrackGeoreference(city.crs, recorder.origin_m, corner_m, case.ortho.gsd_m, times_s)
-    write_ways(folder / "truth.geojson", truth, place)
+    write_paths(folder / "truth.geojson", truth, place)
     write_mot_truth(folder / "truth_mot.txt", truth, city.extent_m, place)
     for channel in case.channels:
         write_tracks(folder, _node(tree, f"{channel}/tracks"), f"tracks_{channel}", place)

@@ -116,7 +116,7 @@ class HitsCache:
             self._own.mkdir(parents=True, exist_ok=True)
             disk, data = shutil.disk_usage(self._own), pack()
             if disk.free - len(data) > _MIN_FREE_SHARE * disk.total:
-                cache.keep(stem, f".{suffix}", self._own, data)
+                cache.store(stem, f".{suffix}", self._own, data)
                 self.bytes_kept += len(data)
         except OSError:
             self.keep = False

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from glintrack.case.design import Case, read_case
 from glintrack.case.packaged import PACKAGED_CASES, find_case
-from glintrack.core.designs import DEEPEST
+from glintrack.core.designs import MAX_DEPTH
 from glintrack.core.installation import VERSION
 from glintrack.core.schema import MIN_SCORED_S
 from glintrack.flight import FlightDesign
@@ -203,7 +203,7 @@ def _with_keys(values: dict[str, Any], keys: Mapping[str, Any], source: str) -> 
     """Nested values with some dotted keys replaced."""
     out = dict(values)
     for key, value in keys.items():
-        if key.count(".") > DEEPEST:
+        if key.count(".") > MAX_DEPTH:
             raise ValueError(f"`{source}` must name a key of the case, got `{key[:60]}…`, nested too deeply")
         head, _, rest = key.partition(".")
         if not rest:

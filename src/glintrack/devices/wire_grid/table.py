@@ -219,7 +219,7 @@ def _sweep(
     _require_solver()
 
     def add(i: int, row: dict) -> None:
-        cache.keep(stems[i], ".json", folder, json.dumps(row).encode())
+        cache.store(stems[i], ".json", folder, json.dumps(row).encode())
         rows[i] = row
         if progress is not None:
             progress(len(rows) / len(stems))
