@@ -314,7 +314,7 @@ def _in_a_result(name: str) -> Callable[[Path], Any]:
 
     def kept_arrays(folder: Path):
         if folder not in trees:
-            trees[folder] = results_read._read_tree(folder)
+            trees[folder] = results_read._read_tree(folder, [])
         return mock.patch.object(results_read, "_read_tree", return_value=trees[folder])
 
     def read(path: Path) -> Any:
