@@ -30,8 +30,6 @@ Morimatsu et al. choose a by the least Laplacian of the residual and interpolate
 squares left the smaller error of DoLP (docs/theory/sensor.md).
 """
 
-from functools import reduce
-
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import correlate
@@ -95,8 +93,8 @@ def inconsistency(layout: Superpixel) -> Float[Array, "row column"]:
 def _window_means(values: Array) -> Array:
     """Mean over the superpixels about each one; edges repeat."""
     wide = np.pad(values, _HALF, mode="edge")
-    columns = reduce(np.add, (wide[k : k + len(values)] for k in range(WINDOW)))
-    return reduce(np.add, (columns[:, k : k + values.shape[1]] for k in range(WINDOW))) / WINDOW**2
+    columns = _add_up([wide[k : k + len(values)] for k in range(WINDOW)])
+    return _add_up([columns[:, k : k + values.shape[1]] for k in range(WINDOW)]) / WINDOW**2
 
 
 def _guide(readings: Array, vector: Array) -> Array:
@@ -108,8 +106,8 @@ def _guide(readings: Array, vector: Array) -> Array:
     for turn in (np.asarray, np.transpose):  # pairs of rows, pairs of columns
         rows, columns = turn(readings).shape
         mean, distance = _pair_means(turn(wide)), np.abs(_pair_means(turn(unlike)))
-        across = reduce(np.add, (distance[:, k : k + columns + 2] for k in range(5)))
-        spread = reduce(np.add, (across[k : k + rows + 5] for k in range(3))) / 15
+        across = _add_up([distance[:, k : k + columns + 2] for k in range(5)])
+        spread = _add_up([across[k : k + rows + 5] for k in range(3)]) / 15
         for far, near in ((1, 3), (4, 4)):  # before and behind each element
             share = 1.0 / (spread[far : far + rows, 1 : columns + 1] + least)
             total += turn(share * mean[near : near + rows, 3 : columns + 3])
@@ -120,8 +118,17 @@ def _guide(readings: Array, vector: Array) -> Array:
 def _pair_means(values: Array) -> Array:
     """Mean of each element and the one before it, weighed 1 2 1 across; without the outermost."""
     up, here = values[:-1], values[1:]
-    sides = up[:, :-2] + here[:, :-2] + up[:, 2:] + here[:, 2:]
-    return 0.25 * (up[:, 1:-1] + here[:, 1:-1]) + 0.125 * sides
+    means = 0.125 * _add_up([up[:, :-2], here[:, :-2], up[:, 2:], here[:, 2:]])
+    means += 0.25 * (up[:, 1:-1] + here[:, 1:-1])
+    return means
+
+
+def _add_up(parts: list[Array]) -> Array:
+    """Sum of arrays, in one new array."""
+    total = parts[0] + parts[1]
+    for part in parts[2:]:
+        total += part
+    return total
 
 
 def _fill_gaps(values: Array) -> Array:
