@@ -68,7 +68,7 @@ def test_a_paints_mean_is_over_its_vehicles(folder):
 def test_the_roc_is_the_results(folder):
     roc = page_data(read_result(folder))["channels"]["pan"]["roc"]
     assert [p[:2] for p in roc["points"]] == [[4.0, 0.6], [1.0, 0.5], [0.0, 0.2]]
-    assert roc["flown"] == [0.0, 0.45] and roc["table"][2] == [0.4, 0.2, 0.0, None]
+    assert roc["own"] == [0.0, 0.45] and roc["table"][2] == [0.4, 0.2, 0.0, None]
     html = build_page(read_result(folder))
     assert "<td>pan</td><td>0.4</td><td>0.2</td><td>0</td><td>–</td>" in html
 

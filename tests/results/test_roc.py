@@ -70,7 +70,7 @@ def test_the_designs_own_threshold_is_a_point():
     case = plain_case({"track": {"initiation": {"confirm_score": 7.5}}})
     swept = flight_roc(case, "pan", detections(), truth(), GRID, AREA_M, (0.0, 20.0))
     assert swept["threshold"].values.tolist() == [0.0, 7.5, 20.0]
-    assert swept.attrs["flown"] == 7.5
+    assert swept.attrs["own"] == 7.5
 
 
 def test_an_interrupt_in_the_middle_of_a_frame():
@@ -98,6 +98,6 @@ def test_where_tracks_are_reported_by_existence_the_flight_as_flown_lies_on_its_
         state = track.step_detections(state, one, time_s, GRID)
         told.append((time_s, track.report(state)))
     flown = metrics.summarize(metrics.score_epochs(as_rows(told), truth(), AREA_M))
-    own = swept.sel(threshold=swept.attrs["flown"])
+    own = swept.sel(threshold=swept.attrs["own"])
     for name in ("completeness", "false_per_epoch", "purity"):
         assert float(own[name]) == pytest.approx(flown[name])

@@ -39,7 +39,7 @@ _MIN_DETECTIONS = 8  # of vehicles for an estimate of their covariance
 
 
 class Kinematics(NamedTuple):
-    """How vehicles move: power density of their acceleration [m² s⁻³], rms speed of one component [m s⁻¹]."""
+    """Power density of vehicles' acceleration [m² s⁻³], and rms speed of one component [m s⁻¹]."""
 
     acceleration_psd: float
     speed_sigma: float
@@ -275,7 +275,7 @@ def flight_accuracy(
         square = np.where(table.counted, bound[..., 0, 0] + bound[..., 1, 1], np.nan)
         squares[f"position_bound_{name}"] = square
     if tracking:
-        squares["position_error_tracker"] = _squared_errors(truths, tracking, ids)
+        squares["position_error_tracker"] = _track_errors(truths, tracking, ids)
     out = xr.Dataset(coords={"vehicle": ids}, attrs={} if detector is None else detector.attributes())
     for name, square in squares.items():
         finite = square[np.isfinite(square)]
@@ -352,7 +352,7 @@ def _view_axes(place: Float[Array, "n 2"], lens_m: Float[Array, "2"]) -> Float[A
     return np.stack([away, np.stack([away[:, 1], -away[:, 0]], -1)], -2)
 
 
-def _squared_errors(
+def _track_errors(
     truths: list[FrameTruth], frames: list[FrameTracking], ids: Array
 ) -> Float[Array, "vehicle time"]:
     """Squared distance of each vehicle's track in each frame; NaN without one. [m²]"""

@@ -1,6 +1,6 @@
 """Evidence of change in a frame's elements against a background, by group: pan, DoLP, all four.
 
-DoLP is one number a superpixel, √(S1² + S2²)/S0, whose noise follows from the readings to first order.
+DoLP is one value per superpixel, √(S1² + S2²)/S0. Its noise follows from the readings to first order.
 """
 
 from typing import NamedTuple
@@ -44,7 +44,7 @@ def dolp_variance(of: Polarization) -> Float[Array, "superpixel"]:
 
 
 def element_groups(sensor: Sensor) -> tuple[str, ...]:
-    """Groups of elements of a sensor; without the group of all where every element is pan."""
+    """List the groups of elements of a sensor; without that of all where every element is pan."""
     pan = sensor.pan_element is not None
     has = {"pan": pan, "dolp": sensor.stokes_matrix is not None, "all": not pan or sensor.side > 1}
     return tuple(group for group in GROUPS if has[group])

@@ -66,7 +66,7 @@ class Plane(NamedTuple):
     step: int
 
 
-def _seen_cells(plane: Plane, place: Array) -> tuple[Int[Array, "cell"], Int[Array, "cell"]]:
+def _cells_in_view(plane: Plane, place: Array) -> tuple[Int[Array, "cell"], Int[Array, "cell"]]:
     """Cells that the elements of a plane see, and the element of each, in flat arrays."""
     rows, columns = plane.evidence.shape
     i = np.round((place[..., 0] - plane.row) / plane.step)
@@ -104,7 +104,7 @@ def find_vehicles(
     shape = place.shape[:2]
     gain = np.zeros(shape, np.float32)
     for plane in planes:
-        seen, element = _seen_cells(plane, place)
+        seen, element = _cells_in_view(plane, place)
         gain.reshape(-1)[seen] += plane.evidence.reshape(-1)[element] / len(planes)
     taps, start = _taps()
     border = int(np.abs(taps[:, :2]).max())  # no template reaches beyond it
@@ -115,7 +115,7 @@ def find_vehicles(
     reach = math.ceil((max(length for length, _ in FOOTPRINTS_M) / 2 + 2 * _MARGIN_M) / CELL_M) + 1
     slant = sun_direction[:2] / max(float(sun_direction[2]), 0.05) * SHADOW_M
     shadow = np.array([slant[1], -slant[0]]) / CELL_M  # rows fall with north; away from the sun
-    middles, scores = _fit(gain, templates, best, which, _explained(), shadow, reach)
+    middles, scores = _fit(gain, templates, best, which, _boxes(), shadow, reach)
     return Found(np.stack([x[middles[:, 1]], y[middles[:, 0]]], axis=1), scores)
 
 
@@ -156,7 +156,7 @@ def _taps() -> tuple[Float[Array, "tap 3"], Array]:
     return np.concatenate(taps), np.array(start)
 
 
-def _explained() -> Float[Array, "template 3"]:
+def _boxes() -> Float[Array, "template 3"]:
     """Half length, half width and direction of the box that each template explains. [cell, cell, rad]"""
     return np.array(
         [
@@ -209,7 +209,7 @@ def _explain(gain, i, j, box, shadow):
 
 @nb.njit(cache=True)
 def _highest(values):
-    """The first of the highest values."""
+    """Return the index of the first maximum."""
     at = 0
     for k in range(1, len(values)):
         if values[k] > values[at]:

@@ -38,7 +38,7 @@ _CHANGED = 0.05  # of the noise: less is the renderer's rounding
 Cumulants = Callable[[float], float]
 _STEP = 1e-3  # of numerical derivatives of K: its curvature is at least 1e-9 of itself there
 _MIN_LOG_MISS = math.log(1e-6)  # a less probable miss counts as none
-_LARGEST = 1e4
+_MAX_S = 1e4
 _BISECTIONS = 60
 DRAWS = 64  # of each hypothesis and superpixel
 MAX_SUPERPIXELS = 24  # of a vehicle that are used, those with the largest contrast: a lower bound
@@ -47,7 +47,7 @@ _REACH = 8.0  # standard deviations
 
 
 def count_hypotheses(area_m: tuple[float, float, float, float]) -> float:
-    """Number of positions and directions of a car in the window: footprints side by side, times eight."""
+    """Count positions and directions of a car in the window: footprints side by side, times eight."""
     west, south, east, north = area_m
     length, width = FOOTPRINTS_M[0]
     return (east - west) * (north - south) / (length * width) * DIRECTIONS
@@ -97,7 +97,7 @@ def ideal_observer(
             without, present = (frame[rows[inside], columns[inside]] for frame in frames)
             cumulants, limit = element_cumulants(Elements(without, present, dark_e, full_e))
         d_prime[k] = detectability(cumulants)
-        probability[k] = detection_probability(cumulants, false_alarm, min(limit, _LARGEST))
+        probability[k] = detection_probability(cumulants, false_alarm, min(limit, _MAX_S))
     return probability, d_prime
 
 
@@ -170,7 +170,7 @@ def element_cumulants(elements: Elements) -> tuple[Cumulants, float]:
     full = elements.full_well_e
     full0, full1 = log_ndtr((m0 - full) / np.sqrt(v0)), log_ndtr((m1 - full) / np.sqrt(v1))
     grows = v1 > v0
-    limit = float((v1[grows] / (v1[grows] - v0[grows])).min()) if grows.any() else _LARGEST
+    limit = float((v1[grows] / (v1[grows] - v0[grows])).min()) if grows.any() else _MAX_S
 
     def cumulants(s: float) -> float:
         mixed = s * v0 + (1 - s) * v1
@@ -182,7 +182,7 @@ def element_cumulants(elements: Elements) -> tuple[Cumulants, float]:
         inside += log_ndtr((full - centre) / width)
         return float(np.logaddexp(inside, s * full1 + (1 - s) * full0).sum())
 
-    return cumulants, min(limit, _LARGEST)
+    return cumulants, min(limit, _MAX_S)
 
 
 def detectability(cumulants: Cumulants) -> float:
@@ -195,7 +195,7 @@ def detectability(cumulants: Cumulants) -> float:
     return math.sqrt(max(inner_slope(1.0, -_STEP) - inner_slope(0.0, _STEP), 0.0))
 
 
-def detection_probability(cumulants: Cumulants, false_alarm: float, limit: float = _LARGEST) -> float:
+def detection_probability(cumulants: Cumulants, false_alarm: float, limit: float = _MAX_S) -> float:
     """P(T > t | vehicle) at the threshold where P(T > t | none) is the false-alarm probability. [1]
 
     Parameters

@@ -154,8 +154,8 @@ def _weigh(nearest, side, weight):
     square = NEAR_ELEMENTS * NEAR_ELEMENTS
     ratio = math.exp(-nearest * side / square)
     weight[1] = math.exp(-0.5 * nearest * nearest / square)
-    beside = weight[1] * math.exp(-0.5 * side * side / square)
-    weight[0], weight[2] = beside / ratio, beside * ratio
+    next_to = weight[1] * math.exp(-0.5 * side * side / square)
+    weight[0], weight[2] = next_to / ratio, next_to * ratio
 
 
 @nb.njit(cache=True, fastmath={"reassoc", "contract", "nsz", "arcp"}, forceinline=True, error_model="numpy")

@@ -95,7 +95,10 @@ class BudgetRecorder:
         bare = self.observer.trace_without_traffic(snapshot, frame.true_pose, hits)
         without = frame.planes_with(bare)
         below = intersect_terrain(self.observer.city.terrain, camera, frame.reported_pose)
-        points = self._near(element_points(hits, camera, frame.true_pose, bare)), self._near(below)
+        points = (
+            self._limit_to_window(element_points(hits, camera, frame.true_pose, bare)),
+            self._limit_to_window(below),
+        )
         begin, nearest = self._vehicles(frame, snapshot), assign_elements(vehicles_on(hits))
         moved = []
         if with_positions:
@@ -146,7 +149,7 @@ class BudgetRecorder:
             one.scored[stage] = scored._replace(vehicle=scored.vehicle[mine])
         return one
 
-    def _near(self, place: Float[Array, "row column 3"]) -> Float[Array, "row column 3"]:
+    def _limit_to_window(self, place: Float[Array, "row column 3"]) -> Float[Array, "row column 3"]:
         """Points that elements see, NaN far outside the window. [m]"""
         west, south, east, north = self.observer.city.extent_m
         low, high = np.array([west, south]) - _BORDER_M, np.array([east, north]) + _BORDER_M
@@ -191,7 +194,7 @@ class BudgetRecorder:
         return on_ground(city.terrain, cells)[:, 2].reshape(len(y), len(x))
 
     def _vehicles(self, frame: ObservedFrame, snapshot: Snapshot) -> Callable[[], FrameBudget]:
-        """Function that starts a frame's budget, with the movers of the window."""
+        """Prepare a frame's budget with the movers of the window."""
         city, truth = self.observer.city, frame.truth
         movers = metrics.is_moving(truth) & metrics.is_in_window(truth, city.extent_m)
         visible = movers & metrics.is_visible(truth)

@@ -59,7 +59,7 @@ class FlightBudget:
             self.recorder = _recorder(self.case, epoch.observer, true_frame)
         if epoch.channel == self.case.channels[0]:
             self._times_s.append(epoch.time_s)
-            self.recorder.take(_observed_frame(epoch.index, epoch.time_s, true_frame, epoch.observer))
+            self.recorder.take(_view(epoch.index, epoch.time_s, true_frame, epoch.observer))
             area_m = epoch.city.extent_m
             self._truths.append(FrameTruth.of(epoch.time_s, true_frame.true_pose, true_frame.truth, area_m))
         truth, ratio = self._truths[-1], found.log_likelihood_ratio
@@ -77,7 +77,7 @@ class FlightBudget:
         Parameters
         ----------
         tree
-            Result of the flight, whose tracks are the last stage.
+            Result of the flight with the tracks.
         """
         recorder = self.recorder
         if recorder is None:
@@ -145,7 +145,7 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
     for k, t in enumerate(flight.times_s[: last + 1]):
         true_frame = true_frame_at(scenario, t, errors[k])
         recorder = recorder or _recorder(case, observer, true_frame, True)
-        recorder.take(_observed_frame(k, float(t), true_frame, observer))
+        recorder.take(_view(k, float(t), true_frame, observer))
         area_m = scenario.city.extent_m
         truths.append(FrameTruth.of(float(t), true_frame.true_pose, true_frame.truth, area_m))
         if progress is not None:
@@ -169,7 +169,7 @@ def _recorder(
     )
 
 
-def _observed_frame(index: int, time_s: float, frame: TrueFrame, observer: Observer) -> ObservedFrame:
+def _view(index: int, time_s: float, frame: TrueFrame, observer: Observer) -> ObservedFrame:
     return ObservedFrame(
         index=index,
         time_s=time_s,

@@ -91,7 +91,7 @@ def plan(extent_m: Extent, azimuth_deg: float | None, picture: str = "") -> dict
 
 
 def page_data(result: Result) -> dict:
-    """Data for the page's program.
+    """Collect the data for the page's program.
 
     Rows are in order of time, ``per`` of them at each of ``times_s``; positions are in decimetres from the
     middle of ``extent_m``. Columns are base64 of little-endian numbers, see `encode`.
@@ -160,13 +160,13 @@ def _roc(swept: xr.Dataset, node: xr.Dataset) -> dict | None:
     columns = ("threshold", "completeness", "false_per_epoch", "purity")
     key = str(swept["threshold"].attrs.get("key", "threshold"))
     table = [list(row) for row in zip(*(_numbers(swept[c].values) for c in columns), strict=True)]
-    flown = [_number(node.attrs.get(k, math.nan)) for k in ("false_per_epoch", "completeness")]
+    own = [_number(node.attrs.get(k, math.nan)) for k in ("false_per_epoch", "completeness")]
     points = [
         [false, completeness, f"{key} {threshold:g}"]
         for threshold, completeness, false, _ in table
         if completeness is not None and false is not None
     ]
-    return {"points": points, "table": table, "key": key, "flown": flown if None not in flown else None}
+    return {"points": points, "table": table, "key": key, "own": own if None not in own else None}
 
 
 def _track_rows(rows: xr.Dataset, times_s: Array, middle: tuple) -> dict:
@@ -218,7 +218,7 @@ def _query_rows(queries: xr.Dataset, times_s: Array, middle: tuple) -> dict:
 
 
 def _spectra(queries: xr.Dataset, times_s: Array, paints: dict[int, str]) -> dict:
-    """A few spectra of each track, and mean and spread of all spectra of each paint."""
+    """Select a few spectra of each track, and compute mean and spread of all spectra of each paint."""
     if not queries.sizes.get("row"):
         return {"wavelength_nm": [], "tracks": {}, "classes": {}}
     radiance, ids = queries["radiance"].values, queries["track_id"].values

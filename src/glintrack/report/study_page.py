@@ -133,8 +133,8 @@ def _records(tables: Mapping[str, pd.DataFrame], name: str, columns: Sequence[st
     """Rows of a table for a chart with intervals."""
     if name not in tables:
         return []
-    kept = ["channel", "response", *columns, "low", "high"]
-    return [{key: _plain(v) for key, v in row.items()} for row in tables[name][kept].to_dict("records")]
+    names = ["channel", "response", *columns, "low", "high"]
+    return [{key: _plain(v) for key, v in row.items()} for row in tables[name][names].to_dict("records")]
 
 
 def _plots(tables: Mapping[str, pd.DataFrame]) -> list[dict]:

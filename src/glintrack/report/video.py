@@ -83,7 +83,7 @@ class Composite:
         return cls(result, kinds, chosen, (size[0], size[1]), rows, _rows(result, "truth"))
 
     def __len__(self) -> int:
-        """Number of frames."""
+        """Return the number of frames."""
         return len(self.result.film["frames"])
 
     @property

@@ -14,7 +14,7 @@ from glintrack.report.page import build_page
 from glintrack.results.read import Result
 
 _FILE = re.compile(r"/(film/[a-z]+_[0-9]{5}\.webp|pictures/[a-z_]+\.png)", re.ASCII)
-_TYPES = {"webp": "image/webp", "png": "image/png"}
+_TYPES = {".webp": "image/webp", ".png": "image/png"}
 
 
 class ResultServer(ThreadingHTTPServer):
@@ -89,16 +89,28 @@ class _Handler(BaseHTTPRequestHandler):
         """Log nothing: a film is a thousand requests."""
 
     def _answer(self, with_body: bool) -> None:
+        status, kind, body = HTTPStatus.NOT_FOUND, "text/plain", b"not found\n"
         if self.server.on_loopback and not self._names_this_machine():
-            self._send(HTTPStatus.FORBIDDEN, "text/plain", b"another host name\n", with_body)
+            status, body = HTTPStatus.FORBIDDEN, b"another host name\n"
         elif self.path in ("/", "/index.html"):
-            self._send(HTTPStatus.OK, "text/html; charset=utf-8", self.server.page, with_body)
-        else:
-            body = self._picture()
-            if body is None:
-                self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found\n", with_body)
-            else:
-                self._send(HTTPStatus.OK, _TYPES[self.path.rpartition(".")[2]], body, with_body)
+            status, kind, body = HTTPStatus.OK, "text/html; charset=utf-8", self.server.page
+        elif match := _FILE.fullmatch(self.path):
+            root = self.server.result.path.resolve()
+            path = resolve_path(root / match[1])
+            if path.is_file() and path.is_relative_to(root):  # not through a link that leads out
+                status, kind, body = HTTPStatus.OK, _TYPES[path.suffix], path.read_bytes()
+        self.send_response(status)
+        headers = {
+            "Content-Type": kind,
+            "Content-Length": str(len(body)),
+            "X-Content-Type-Options": "nosniff",
+            "Cache-Control": "no-store",
+        }
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.end_headers()
+        if with_body:
+            self.wfile.write(body)
 
     def _names_this_machine(self) -> bool:
         name = self.headers.get("Host", "").rsplit(":", 1)[0].strip("[]")
@@ -106,24 +118,3 @@ class _Handler(BaseHTTPRequestHandler):
             return name == "localhost" or ipaddress.ip_address(name).is_loopback
         except ValueError:
             return False
-
-    def _picture(self) -> bytes | None:
-        """Picture of the path, if it is a plain file inside the result; None if not."""
-        match = _FILE.fullmatch(self.path)
-        if match is None:
-            return None
-        root = self.server.result.path.resolve()
-        path = resolve_path(root / match[1])
-        if not (path.is_file() and path.is_relative_to(root)):  # not through a link that leads out
-            return None
-        return path.read_bytes()
-
-    def _send(self, status: HTTPStatus, kind: str, body: bytes, with_body: bool) -> None:
-        self.send_response(status)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Cache-Control", "no-store")
-        self.end_headers()
-        if with_body:
-            self.wfile.write(body)

@@ -63,12 +63,12 @@ class TrueFrame:
     truth: xr.Dataset
 
     def planes_with(self, observer: Observer, again: Hits) -> Float[Array, "plane row column"]:
-        """Planes with the elements replaced that were traced ``again``."""
+        """Planes with the elements with_new that were traced ``again``."""
         elements = np.flatnonzero(again.rays)
         row, column = np.divmod(elements, again.columns)
         shown = observer.partial_radiance(again, self.hits)
 
-        def replaced(channels: Array, pixels: Array | None = None) -> xr.DataArray:
+        def with_new(channels: Array, pixels: Array | None = None) -> xr.DataArray:
             if pixels is not None:
                 return shown(channels, pixels)
             frame = self.light(channels).copy(deep=True)
@@ -76,7 +76,7 @@ class TrueFrame:
                 frame.values[row, column] = shown(channels, np.stack([row, column], axis=1)).values
             return frame
 
-        light = smear(replaced, self.motion)(self.sensor.channels)
+        light = smear(with_new, self.motion)(self.sensor.channels)
         return light_on_elements(light.values, self.sensor)
 
 

@@ -200,8 +200,8 @@ def read_result(path: str | Path, tree: xr.DataTree | None = None) -> Result:
     if written_by and written_by != version("glintrack"):
         notes.append(f"Written by glintrack {written_by}, shown by {version('glintrack')}.")
     if provenance.get("interrupted"):
-        done, asked = provenance.get("frames_done", "?"), provenance.get("frames_asked", "?")
-        notes.append(f"The flight was interrupted after {done} of {asked} frames.")
+        done, count = provenance.get("frames_done", "?"), provenance.get("frames_asked", "?")
+        notes.append(f"The flight was interrupted after {done} of {count} frames.")
     return Result(
         path=folder,
         tree=tree,
@@ -283,7 +283,7 @@ def _read_film(folder: Path, notes: list[str]) -> dict:
     part = path, "the pictures of the flight are not shown"
     film = _read_part(part, lambda file: validate_film(read_json(file, "film.json")), notes)
     if film is not None and not film["frames"]:
-        notes.append("The run kept no film (`output.film_frames` was 0, or it ended too soon).")
+        notes.append("The run has no film (`output.film_frames` was 0, or it ended too soon).")
     return film or {}
 
 
@@ -326,7 +326,7 @@ def score_rows(scores: Mapping[str, Mapping[str, float | None]]) -> list[tuple[s
 
 
 def picture_url(path: Path, longest_side: int) -> str:
-    """Data URL of a picture file, as a small WebP."""
+    """Encode a picture file as a data URL of a small WebP."""
     with Image.open(path) as picture:
         shown = picture.convert("RGB")
     shown.thumbnail((longest_side, longest_side))

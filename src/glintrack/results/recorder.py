@@ -89,9 +89,9 @@ class Recorder:
     def record(self, epoch: Epoch) -> None:
         """Record one frame of one channel; the callback of `simulate`."""
         self.observer = epoch.observer
-        if epoch.index <= self.shown_index:  # the middle frame, or the last one of an interrupted flight
+        if epoch.index <= self.picture_index:  # the middle frame, or the last one of an interrupted flight
             self.shown[epoch.channel] = epoch.image
-        if epoch.index == self.shown_index and self.colour is None:
+        if epoch.index == self.picture_index and self.colour is None:
             self.colour = self._natural_colour(epoch)
         self._queries[epoch.channel] = self._queries.get(epoch.channel, Rows()).append(_query_rows(epoch))
         if self.grid is None:
@@ -110,7 +110,7 @@ class Recorder:
                 self.film.add(epoch.index, epoch.time_s, epoch.image, self._ground_colour(epoch))
 
     @property
-    def shown_index(self) -> int:
+    def picture_index(self) -> int:
         """Index of the frame in the pictures: three quarters through, when tracks are established."""
         return (3 * (self.case.flight.frames - 1)) // 4
 
@@ -122,11 +122,11 @@ class Recorder:
         return self.observer.city.origin_easting_m, self.observer.city.origin_northing_m
 
     def queries(self, channel: str) -> xr.Dataset:
-        """Served queries and their spectra, one ``row`` each; ``vehicle_id`` is −1 where none was hit."""
+        """Rows of served queries with their spectra; ``vehicle_id`` is −1 where none was hit."""
         return self._queries.get(channel, Rows()).to_dataset()
 
     def detections(self, channel: str) -> xr.Dataset:
-        """Detections of a channel, one ``row`` each, in order of time."""
+        """Rows of a channel's detections in order of time."""
         found = self.found.get(channel, [])
         if not found:
             return xr.Dataset()
@@ -242,7 +242,7 @@ def _xyz(epoch: Epoch) -> tuple[Array, Array]:
 
 
 def _query_rows(epoch: Epoch) -> xr.Dataset:
-    """Served queries of one epoch: position, track, vehicle (−1: none), and spectrum."""
+    """Rows of one epoch's served queries: position, track, vehicle (−1: none), and spectrum."""
     served = epoch.spectra["served"].values.astype(bool)
     names = ("track_id", "east", "north", "radiance")
     track, east, north, radiance = (epoch.spectra[name].values[served] for name in names)

@@ -93,7 +93,7 @@ def flight_roc(
     -------
     ``completeness``, ``false_per_epoch``, ``purity`` and ``identity_switches`` over rising ``threshold``. Its
     attribute ``key`` names it: ``reporting.max_false_share`` with existence reporting, else
-    ``initiation.confirm_score``; the attribute ``flown`` is the design's own. Empty if nothing was detected
+    ``initiation.confirm_score``; the attribute ``own`` is the design's own. Empty if nothing was detected
     or there is no truth.
     """
     if not (any(len(one) for _, one in found) and truth.sizes.get("row")):
@@ -103,10 +103,10 @@ def flight_roc(
     design = case.track.replace({"detect.channel": channel, "query.policy": "none", "roads.prior": False})
     used = design.effective(any(one.log_likelihood_ratio is not None for _, one in found))
     if used.reporting.uses_existence:
-        key, flown, usual = "reporting.max_false_share", design.reporting.max_false_share, ROC_FALSE_SHARE
+        key, own, usual = "reporting.max_false_share", design.reporting.max_false_share, ROC_FALSE_SHARE
     else:
-        key, flown, usual = "initiation.confirm_score", design.initiation.confirm_score, ROC_SCORES
-    swept = sorted({*map(float, usual if thresholds is None else thresholds), float(flown)})
+        key, own, usual = "initiation.confirm_score", design.initiation.confirm_score, ROC_SCORES
+    swept = sorted({*map(float, usual if thresholds is None else thresholds), float(own)})
     if used.reporting.uses_existence:
         states = list(_states(design, found, grid))
         designs = [design.replace({key: one}) for one in swept]
@@ -118,7 +118,7 @@ def flight_roc(
     return xr.Dataset(
         {name: ("threshold", [one[name] for one in scores], {"units": "1"}) for name in _SCORES},
         coords={"threshold": ("threshold", swept, {"units": "1", "key": key})},
-        attrs={"flown": float(flown)},
+        attrs={"own": float(own)},
     )
 
 

@@ -5,6 +5,7 @@ largest step down is named. What a detector that uses several frames gains after
 a loss there.
 """
 
+import contextlib
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -119,13 +120,10 @@ def reservations(
         return []
     budget = stage_shares(tree).get(name, {})
     return [
-        *_without_lag(tree, name),
-        *_different_frames(tree, scores[name], budget),
+        *_about_scores(tree, name, scores[name], budget),
         *_small_field(budget, case),
-        *_no_budget(budget, case),
-        *_sensor_warnings(case),
+        *_about_design(budget, scores[name], case),
         *_late_tracks(tree, name),
-        *_false_share(scores[name], case),
         *_few_movers(tree, name, case),
     ]
 
@@ -136,7 +134,7 @@ def _budgets(tree: xr.DataTree) -> Mapping[str, xr.DataTree]:
 
 
 def budget_frames(tree: xr.DataTree) -> str:
-    """Number of frames of the loss budget and of the flight as text, such as "9 of the 60 frames"."""
+    """Describe the frames of the loss budget and of the flight, such as "9 of the 60 frames"."""
     count = max((len(np.atleast_1d(of.attrs.get("frames", []))) for of in _budgets(tree).values()), default=0)
     if "frames_done" in tree.attrs:
         return f"{count or 'the measured'} of the {tree.attrs['frames_done']} frames"
@@ -218,27 +216,25 @@ def _largest_loss(budget: Mapping[str, float]) -> Iterator[str]:
         yield f"The largest loss is {_LOSSES[worst]}: from {before} to {after} of 100 moving vehicles"
 
 
-def _without_lag(tree: xr.DataTree, name: str) -> Iterator[str]:
-    of = _attributes(tree, name)
+def _about_scores(
+    tree: xr.DataTree, name: str, of: Mapping[str, float], budget: Mapping[str, float]
+) -> Iterator[str]:
+    """Scores without the lag, and of the frames of the loss budget."""
+    live, share = _attributes(tree, name), budget.get("tracker")
     visible, false = (
-        float(of.get(f"{k}_at_once", math.nan)) for k in ("completeness_visible", "false_per_km2")
+        float(live.get(f"{k}_at_once", math.nan)) for k in ("completeness_visible", "false_per_km2")
     )
     if math.isfinite(visible + false):
         yield (
-            f"Without the lag of {of['report_lag_s']:g} s (`track.reporting.lag_s`), {_per_hundred(visible)} "
-            f"of 100 visible vehicles are tracked, with {_count(false)} false tracks per km²."
+            f"Without the lag of {live['report_lag_s']:g} s (`track.reporting.lag_s`), "
+            f"{_per_hundred(visible)} of 100 visible vehicles are tracked, with {_count(false)} false tracks "
+            "per km²."
         )
-
-
-def _different_frames(
-    tree: xr.DataTree, of: Mapping[str, float], budget: Mapping[str, float]
-) -> Iterator[str]:
-    share = budget.get("tracker")
     if share is not None and abs(share - float(of["completeness"])) > _MAX_DIFFERENCE:
         yield (
             f"The loss budget is of {budget_frames(tree)}, with {_per_hundred(share)} of 100 moving vehicles "
-            "tracked. The scores are of all frames, including the first ones, in which the "
-            "background is learnt."
+            "tracked. The scores are of all frames, including the first ones, in which the background is "
+            "learnt."
         )
 
 
@@ -260,24 +256,27 @@ def _small_field(budget: Mapping[str, float], case: Case | None) -> Iterator[str
         )
 
 
-def _no_budget(budget: Mapping[str, float], case: Case | None) -> Iterator[str]:
-    if not budget and case is not None and 0 < case.bound.every and case.flight.frames <= case.bound.every:
+def _about_design(
+    budget: Mapping[str, float], scores: Mapping[str, float], case: Case | None
+) -> Iterator[str]:
+    """A flight too short for a loss budget, warnings about the sensor, and too many false tracks."""
+    if case is None:
+        return
+    if not budget and 0 < case.bound.every and case.flight.frames <= case.bound.every:
         yield (
             f"The loss budget was not measured: it needs more than {case.bound.every} frames "
             f"(`bound.every`), got {case.flight.frames}."
         )
-
-
-def _sensor_warnings(case: Case | None) -> Iterator[str]:
-    """Warnings of `case check` about the sensor: full wells, cars smaller than an element."""
-    if case is None:
-        return
-    try:
-        warnings = assess(case).of_sensor
-    except (OSError, ValueError):  # a file that the case names is not here
-        return
-    for warning in warnings:
-        yield f"Design: {warning}."
+    with contextlib.suppress(OSError, ValueError):  # a file that the case names is not here
+        yield from (f"Design: {warning}." for warning in assess(case).of_sensor)
+    valid, false = (float(scores.get(key, math.nan)) for key in ("held_per_km2", "false_per_km2"))
+    limit, share = case.track.reporting.max_false_share, false / (valid + false) if false > 0 else math.nan
+    if case.track.reporting.uses_existence and share > _MAX_FALSE_RATIO * limit:
+        yield (
+            f"{_per_hundred(share)} of 100 reported tracks are false, more than the limit of "
+            f"{_per_hundred(limit)} (`track.reporting.max_false_share`). The limit is met only on flights "
+            "like those to which the existence model was fitted."
+        )
 
 
 def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
@@ -294,20 +293,6 @@ def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
         yield (
             f"The first track was confirmed after {empty} of the {len(shares)} frames, in which all vehicles "
             "count as missed. A longer flight gives a higher completeness."
-        )
-
-
-def _false_share(scores: Mapping[str, float], case: Case | None) -> Iterator[str]:
-    """Reservation where the share of false tracks is far above its limit."""
-    valid, false = (float(scores.get(key, math.nan)) for key in ("held_per_km2", "false_per_km2"))
-    if case is None or not case.track.reporting.uses_existence or not false > 0 or not math.isfinite(valid):
-        return
-    limit, share = case.track.reporting.max_false_share, false / (valid + false)
-    if share > _MAX_FALSE_RATIO * limit:
-        yield (
-            f"{_per_hundred(share)} of 100 reported tracks are false, more than the limit of "
-            f"{_per_hundred(limit)} (`track.reporting.max_false_share`). The limit is met only on flights "
-            "like those to which the existence model was fitted."
         )
 
 

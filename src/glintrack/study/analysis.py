@@ -41,7 +41,7 @@ _MIN_FLIGHTS_PER_TERM = 1.5
 
 
 def effects(found: Units, rng: np.random.Generator, interactions: bool = False) -> pd.DataFrame:
-    """Main effects: change of the score from an axis's first value to each other, or over a range.
+    """Estimate main effects: change of the score from an axis's first value to each other, or over a range.
 
     Parameters
     ----------

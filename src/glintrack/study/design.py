@@ -44,7 +44,7 @@ class Constraints(Design):
 
 
 class Contrast(Design):
-    """Two designs or channels whose difference is reported, at each point of all other axes."""
+    """Difference of two designs or channels, reported at each point of all other axes."""
 
     label: str = Field(min_length=1, max_length=80, description="What the difference is called")
     of: dict[str, Any] = Field(description="`channel` and values of axes")
@@ -76,7 +76,7 @@ class StudyDesign(Design):
 
     name: str = Field(default="study", min_length=1, max_length=80)
     """Name of the study's folder and pictures."""
-    case: str = Field(default="quickstart", description="Base case: a file beside the study, or packaged")
+    case: str = Field(default="quickstart", description="Base case: a file next to the study, or packaged")
     design: Literal["one-at-a-time", "factorial", "latin-hypercube", "sobol", "saltelli", "list"] = Field(
         default="one-at-a-time", description="How the axes are combined"
     )
@@ -95,7 +95,7 @@ class StudyDesign(Design):
     constraints: Constraints = Constraints()
     contrasts: tuple[Contrast, ...] = Field(default=(), description="Differences that the report states")
     ranked_under: tuple[str, ...] = Field(
-        default=(), description="Axes under whose values the report ranks the designs, as detector or city"
+        default=(), description="Axes with ranks of the designs at each value, such as detector or city"
     )
 
     @field_validator("replicates", mode="before")
@@ -157,8 +157,8 @@ def read_study(path: str | Path) -> StudyDesign:
     if _OF_CASES & set(values) and not {"axes", "case"} & set(values):
         named = Path(path).stem if Path(path).parent == PACKAGED_CASES else path
         raise ValueError(
-            f"`study` must be a study, got the case {named} (glintrack run {named} flies it; a study names "
-            "it as its `case` and says under [axes] what varies)"
+            f"`study` must be a study, got the case {named} (simulate it with glintrack run {named}; a study "
+            "names it as its `case`, and its variations under [axes])"
         )
     return validate_design(StudyDesign, {"name": Path(path).stem, **values})
 

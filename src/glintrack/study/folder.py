@@ -32,7 +32,7 @@ from glintrack.study.plan import DECIDE_SCORES, FORMAT, Plan, source_key
 
 try:
     import fcntl
-except ImportError:  # not on Windows, where two drivers in one folder are not told apart
+except ImportError:  # not on Windows, where the folder is not locked
     fcntl = None  # type: ignore[assignment]
 _HEAD = "study.json"
 _SCORES = "scores.json"
@@ -172,7 +172,7 @@ class StudyFolder:
         return None
 
     def cost(self, case_keys: Iterable[str]) -> dict[str, float]:
-        """Number of finished ``flights`` and their ``frames``, and their processor time ``cpu_s``. [1, s]"""
+        """Finished ``flights``, their ``frames``, and their processor time ``cpu_s``. [1, s]"""
         done = [outcome for key in case_keys if (outcome := self.outcome(key)) is not None]
         frames = sum(max(of.get("epochs", 0) for of in outcome["scores"].values()) for outcome in done)
         cpu_s = sum(outcome["cpu_seconds"] for outcome in done)

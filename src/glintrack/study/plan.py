@@ -133,11 +133,11 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
     check_contrasts(design, axes)
     rules = _Rules(design.constraints, base.parent, inside)
     # the base itself has to be valid, and its pitch and focal length are those of its rows and columns
-    rules = replace(rules, element_rad=_constrained(values, rules).sensor.ifov_rad)
+    rules = replace(rules, element_rad=_build_case(values, rules).sensor.ifov_rad)
     for axis in axes:  # each value by itself, so that a message names the axis
         for label, keys in axis.ends:
             try:
-                _constrained(_with_keys(values, keys, f"axes.{axis.name}"), rules, keys)
+                _build_case(_with_keys(values, keys, f"axes.{axis.name}"), rules, keys)
             except ValueError as error:
                 if "known key" in str(error) or not _depends_on_others(error):
                     raise ValueError(f"{error} (axis `{axis.name}`, value {label!r})") from error
@@ -149,7 +149,7 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
         for replicate, own in enumerate(design.replicate_keys):
             table = _with_keys(_with_keys(values, keys, "axes"), own, "replicates")
             try:
-                case = _constrained(table, rules, keys | flat(own))
+                case = _build_case(table, rules, keys | flat(own))
             except ValueError as error:
                 where = ", ".join(f"{name} = {level}" for name, level in levels.items())
                 raise ValueError(f"{error} (in the case with {where or own})") from error
@@ -226,7 +226,7 @@ class _Rules:
     element_rad: float | None = None
 
 
-def _constrained(values: dict[str, Any], rules: _Rules, varied: Iterable[str] = ()) -> Case:
+def _build_case(values: dict[str, Any], rules: _Rules, varied: Iterable[str] = ()) -> Case:
     """Case from plain values after the constraints; ``varied`` are the keys of axes and replicates."""
     keys: dict[str, Any] = {}
     limits = rules.limits

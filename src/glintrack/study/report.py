@@ -82,7 +82,7 @@ def write_report(
 def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
     """All tables that a study's design allows, by name; see `write_report`."""
     table = select_finished_replicates(table)
-    done = _finished_rows(table)
+    done = _select_finished(table)
     axes, design = list(source["axes"]), source["design"]["design"]
     channels = [name for name in CHANNELS if name in set(done["channel"])]
     responses = [name for name in RESPONSES if name in done and done[name].notna().any()]
@@ -132,7 +132,7 @@ def _rng() -> np.random.Generator:
     return np.random.default_rng(SEED)
 
 
-def _finished_rows(table: pd.DataFrame) -> pd.DataFrame:
+def _select_finished(table: pd.DataFrame) -> pd.DataFrame:
     done = table[table["status"] == "finished"]
     if done.empty:
         raise ValueError(f"`result` must hold finished cases, got none of {len(table)} rows finished")
@@ -150,7 +150,7 @@ def check_points(
         If no case is finished, or the study lacks the score or the channel.
     """
     table = select_finished_replicates(table)
-    done = _finished_rows(table)
+    done = _select_finished(table)
     requirement.check_channel([str(name) for name in dict.fromkeys(done["channel"])])
     means = done.groupby("channel", sort=False)["completeness"].mean()
     channel = requirement.channel or str(means.idxmax())

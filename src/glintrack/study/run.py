@@ -194,7 +194,7 @@ class _Run:
             self.running[future] = key
 
     def _uses(self, place: str) -> Counter[float]:
-        """Number of cases of this run that need each frame of a geometry."""
+        """Count the cases of this run that need each frame of a geometry."""
         if place not in self.uses:
             mine = (self.plan.cases[key].flight for key in self.pending if self.geometry_of[key] == place)
             self.uses[place] = Counter(t for flight in mine for t in frame_times(flight).tolist())

@@ -111,7 +111,7 @@ def answer(tables: Mapping[str, pd.DataFrame]) -> str:
     """Most important parameter with its effect and interval; the best design without effects."""
     rows = importance(tables)
     if rows.empty:
-        return _best_point(tables["points"]) if "points" in tables else ""
+        return _describe_best_point(tables["points"]) if "points" in tables else ""
     name = NAMES[headline(tables["effects"])]
     changes = [
         f"`{row['axis']}`, {row['level']}: {row['effect']:+.3g} {name}" for row in rows.to_dict("records")
@@ -126,7 +126,7 @@ def answer(tables: Mapping[str, pd.DataFrame]) -> str:
         first = "No significant effect; the largest is" if several else "Not significant:"
         parts = [f"{first} {changes[0]}."]
     elif not several:
-        parts = [f"{effects[0]}{_other_channels(tables, rows.iloc[0])}."]
+        parts = [f"{effects[0]}{_same_change_elsewhere(tables, rows.iloc[0])}."]
     else:
         parts = [f"Most important: {effects[0]}."]
         parts += [f"Then {'; '.join(effects[1:])}."] if len(effects) > 1 else []
@@ -148,7 +148,7 @@ def answer(tables: Mapping[str, pd.DataFrame]) -> str:
     return " ".join(parts)
 
 
-def _other_channels(tables: Mapping[str, pd.DataFrame], change: pd.Series) -> str:
+def _same_change_elsewhere(tables: Mapping[str, pd.DataFrame], change: pd.Series) -> str:
     """Effects of the same change in the other channels."""
     found = tables["effects"]
     same = (found["axis"] == change["axis"]) & (found["level"] == change["level"])
@@ -168,7 +168,7 @@ def _channel(row: Mapping[str, Any]) -> str:
     return CHANNEL_NAMES.get(row["channel"], row["channel"])
 
 
-def _best_point(points: pd.DataFrame) -> str:
+def _describe_best_point(points: pd.DataFrame) -> str:
     """Best point of a study without effects."""
     response = headline(points)
     mine = points[(points["response"] == response) & points["score"].notna()]

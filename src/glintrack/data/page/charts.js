@@ -118,7 +118,7 @@ const charts = (() => {
     const swept = Object.entries(page.channels).filter(([, m]) => m.roc);
     if (swept.length && page.byId("roc-charts")) plots.draw(page.byId("roc-charts"), [{
       title: "ROC: completeness against false tracks", xlabel: "false tracks a frame", ylabel: "completeness", fromZero: true,
-      lines: swept.map(([name, { roc }]) => ({ label: name, channel: name, points: roc.points, joined: roc.points, flown: roc.flown })),
+      lines: swept.map(([name, { roc }]) => ({ label: name, channel: name, points: roc.points, joined: roc.points, own: roc.own })),
     }]);
   }
 

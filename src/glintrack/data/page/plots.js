@@ -35,10 +35,10 @@ const plots = (() => {
     return [a >= 0 && a - room < 0 ? 0 : a - room, b + room];
   }
 
-  // list: [{title, xlabel, ylabel, fromZero, lines: [{label, channel, points, joined, flown}]}]; a point is [x, y] or [x, y, words]
+  // list: [{title, xlabel, ylabel, fromZero, lines: [{label, channel, points, joined, own}]}]; a point is [x, y] or [x, y, words]
   function draw(box, list) {
     for (const plot of list) {
-      const points = plot.lines.flatMap((l) => [...l.points, ...(l.flown ? [l.flown] : [])]);
+      const points = plot.lines.flatMap((l) => [...l.points, ...(l.own ? [l.own] : [])]);
       if (!points.length) continue;
       const figure = document.createElement("figure"), caption = document.createElement("figcaption");
       caption.textContent = plot.title;
@@ -96,7 +96,7 @@ const plots = (() => {
       out.append(one);
     };
     for (const p of line.points) place(p, 3.5, style("fill"), p[2]);
-    if (line.flown) place(line.flown, 8, `fill:none;stroke-width:2.5;${style("stroke")}`, "as flown");
+    if (line.own) place(line.own, 8, `fill:none;stroke-width:2.5;${style("stroke")}`, "this flight");
   }
 
   return { svg, short, colourOf, mark, key, draw };

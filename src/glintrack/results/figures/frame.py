@@ -83,12 +83,12 @@ def radiance_colours(values: Float[Array, "y x"]) -> tuple[Float[Array, "y x 3"]
     """Colours and scale of a radiance, black to white over its middle 98 %. [1]"""
     known = values[np.isfinite(values)]
     low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
-    return _mapped(values, RADIANCE, float(low), max(float(high), float(low) + 1e-12))
+    return _apply_colours(values, RADIANCE, float(low), max(float(high), float(low) + 1e-12))
 
 
 def dolp_colours(values: Float[Array, "y x"]) -> tuple[Float[Array, "y x 3"], ScalarMappable]:
     """Colours and scale of a degree of linear polarization, safe for colour-blind eyes. [1]"""
-    return _mapped(values, DOLP, 0.0, MAX_DOLP)
+    return _apply_colours(values, DOLP, 0.0, MAX_DOLP)
 
 
 def aop_colours(
@@ -98,7 +98,9 @@ def aop_colours(
 
     ``light_at_rad``, 0 or π/2, is the angle that is drawn palest: that of horizontal polarization.
     """
-    colours, scale = _mapped(np.degrees(aop_rad), f"{AOP}_shifted" if light_at_rad else AOP, 0.0, 180.0)
+    colours, scale = _apply_colours(
+        np.degrees(aop_rad), f"{AOP}_shifted" if light_at_rad else AOP, 0.0, 180.0
+    )
     share = np.clip(np.nan_to_num(dolp) / FADE_DOLP, 0, 1)[..., None]
     return share * colours + (1 - share) * MASKED, scale
 
@@ -158,7 +160,7 @@ def picture_figure(picture: Float[Array, "y x 3"], bearings: Bearings | None) ->
     return figure
 
 
-def _mapped(values: Array, name: str, low: float, high: float) -> tuple[Array, ScalarMappable]:
+def _apply_colours(values: Array, name: str, low: float, high: float) -> tuple[Array, ScalarMappable]:
     scale = ScalarMappable(Normalize(low, high), matplotlib.colormaps[name])
     colours = np.asarray(scale.to_rgba(np.nan_to_num(values, nan=low)))[..., :3]
     return np.where(np.isfinite(values)[..., None], colours, MASKED), scale
