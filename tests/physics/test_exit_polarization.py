@@ -67,7 +67,7 @@ def sunlit(library, zenith_deg=60.0, heading=0.7, normals=None, sky_radiance=0.0
     sky = unpack_sky(flat_sky(50.0, away, sun=1000.0, sky_radiance=sky_radiance), 1000.0)
     hits = trace(snapshot(plane(9000)), camera, pose, sky.sun_direction, library["roughness"].values)
     if normals is not None:
-        hits = replace(hits, normal=normals(hits).astype(np.float32))
+        hits = hits._replace(normal=normals(hits).astype(np.float32))
     return camera, pose, sky, hits
 
 
@@ -114,7 +114,7 @@ def test_every_way_of_asking_gives_the_same_on_facets_of_any_tilt(turn_deg):
     axis, look = np.asarray(hits.detector_axis, float), rays(camera, pose)[3, 3]
     turn = math.radians(turn_deg)
     axis = math.cos(turn) * axis + math.sin(turn) * np.cross(-look, axis)
-    hits = replace(hits, detector_axis=axis)
+    hits = hits._replace(detector_axis=axis)
     closed = expected(camera, pose, hits, n, 1.0)
     if turn_deg == 0:  # upright for a level camera; the facets' tilts give U either sign
         assert (closed[:, 0] < -0.02).all() and closed[:, 1].min() < -0.01 and closed[:, 1].max() > 0.01

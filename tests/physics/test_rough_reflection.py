@@ -87,7 +87,7 @@ def test_interpolated_reflection_against_the_integral(sky, name, reflectance, al
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     flat = (np.arange(81) % 3 == 0) | (np.einsum("ij,ij->i", normal, -level.direction) < 0.2)
     normal[flat] = [0.0, 0.0, 1.0]
-    hits = replace(level, normal=normal.astype(np.float32))
+    hits = level._replace(normal=normal.astype(np.float32))
     weights = channel_weights(sky.wavelength_um, np.ones((1, len(sky.wavelength_um))))
     mirrored, whole = (
         shade(hits, sky, materials((r, INDEX, 0.0, alpha, weight)), weights).values.reshape(81, 3)

@@ -1,7 +1,5 @@
 """Whether two frames' hits are the same, however their probes are numbered."""
 
-from dataclasses import fields, replace
-
 import numpy as np
 from jaxtyping import Int
 
@@ -32,9 +30,9 @@ def lit_by(hits: Hits, codes: np.ndarray, behind: bool = False) -> list[np.ndarr
 def assert_same_hits(one: Hits, other: Hits) -> None:
     """Every field bit for bit; of cells and probes what samples find there, from either side."""
     cells = ("light_cell", "mirror_cell")
-    for field in fields(Hits):
-        if field.name not in (*PROBES, *cells):
-            np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), field.name)
+    for name in Hits._fields:
+        if name not in (*PROBES, *cells):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
     for name in cells:
         mine, others = getattr(one, name), getattr(other, name)
         np.testing.assert_array_equal(np.sign(mine + 1), np.sign(others + 1))  # facet, whole sky or space
@@ -47,7 +45,7 @@ def of_elements(hits: Hits, elements: Int[Array, "element"]) -> Hits:
     """Samples of some elements alone."""
     counts, rays = np.zeros_like(np.diff(hits.first)), np.zeros_like(hits.rays)
     counts[elements], rays[elements] = np.diff(hits.first)[elements], hits.rays[elements]
-    return replace(take_samples(hits, samples_of(hits, np.sort(elements)), counts), rays=rays)
+    return take_samples(hits, samples_of(hits, np.sort(elements)), counts)._replace(rays=rays)
 
 
 def small_case(**sensor) -> Case:

@@ -1,7 +1,6 @@
 """Radiance against closed forms: Lambert, Fresnel, Brewster, frames, energy."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -269,12 +268,7 @@ def test_a_leaf_lets_through_what_shines_on_its_back():
     library["transmittance"] = (("material", "wavelength"), np.full((1, 2), 0.3), {"units": "1"})
 
     def from_behind(hits):
-        return replace(
-            hits,
-            normal=-hits.normal,
-            look=-hits.look,
-            sun_visible=0 * hits.sun_visible + 1,
-        )
+        return hits._replace(normal=-hits.normal, look=-hits.look, sun_visible=0 * hits.sun_visible + 1)
 
     # seen from below: the sun and the sky on its back, its front dark
     tables = flat_sky(sun_zenith_deg=40, sun=1000, sky_radiance=50)
@@ -290,8 +284,8 @@ def test_a_mirror_shows_the_base_of_what_it_meets():
 
     def meets(hits):
         ones = np.ones_like(hits.sun_visible)
-        return replace(
-            hits, mirror_material=np.ones_like(hits.mirror_material), mirror_sun=0.6 * ones, mirror_sky=ones
+        return hits._replace(
+            mirror_material=np.ones_like(hits.mirror_material), mirror_sun=0.6 * ones, mirror_sky=ones
         )
 
     light = level_light(library, flat_sky(sun=1000, sky_radiance=50), 50, meets)
@@ -304,7 +298,7 @@ def test_what_is_not_sky_sends_the_mean_light_of_the_frame():
     """Half the sky hidden: ρ/π (½ E_sky + ½ M), M = ρ times what reaches the same ground."""
 
     def half_hidden(hits):
-        return replace(hits, sky_view=0.5 * np.ones_like(hits.sky_view))
+        return hits._replace(sky_view=0.5 * np.ones_like(hits.sky_view))
 
     light = level_light(materials((0.4, 1.5, 0, 0, 0)), flat_sky(sky_radiance=10), change=half_hidden)
     mean = 0.4 * 0.5 * math.pi * 10
@@ -317,7 +311,7 @@ def test_a_tilted_facet_gets_the_sky_in_front_of_it():
     def wall_to_north(hits):
         tilted = np.zeros_like(hits.normal)
         tilted[:, 1], tilted[:, 2] = math.sqrt(0.75), 0.5
-        return replace(hits, normal=tilted, sky_view=np.ones_like(hits.sky_view))
+        return hits._replace(normal=tilted, sky_view=np.ones_like(hits.sky_view))
 
     library = materials((0.5, 1.5, 0, 0, 0))
     tables = flat_sky(sky_radiance=10, stokes=lambda z, a: (1 + 0.5 * math.sin(z) * math.cos(a), 0.0, 0.0))
@@ -340,7 +334,7 @@ def test_channels_equal_the_integral_of_the_spectrum_in_the_library():
     hits = trace(
         snapshot(plane()), small_camera(6, 9, 400, 2100), Pose(0, 0, 2000.0), sky.sun_direction, np.ones(1)
     )
-    hits = replace(hits, material=(np.arange(54) % library.sizes["material"]).astype(np.int16))
+    hits = hits._replace(material=(np.arange(54) % library.sizes["material"]).astype(np.int16))
     weights = channel_weights(sky.wavelength_um, np.exp(-(((sky.wavelength_um - [[0.5], [0.8]]) / 0.1) ** 2)))
     band = shade(hits, sky, library, weights).values
     spectrum = shade(hits, sky, library, wavelength_um=sky.wavelength_um).values

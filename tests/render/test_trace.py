@@ -2,7 +2,7 @@
 
 import importlib
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -345,7 +345,6 @@ def test_rows_that_are_traced_apart_make_one_frame(monkeypatch):
         module = importlib.import_module("glintrack.render.trace")  # `trace` is also the function's name
         monkeypatch.setattr(module, "_RAYS_AT_A_TIME", at_a_time)
         frames.append(trace(scene, small_camera(51, 67, 60), pose, sun, np.zeros(2), 0, 2, tracer, 4))
-    for field in fields(frames[0]):
-        ours, theirs = (getattr(hits, field.name) for hits in frames)
-        np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
+    for name, ours, theirs in zip(frames[0]._fields, *frames, strict=True):
+        np.testing.assert_array_equal(ours, theirs, err_msg=name)
     assert 0 < (frames[0].sun_visible < 1).mean() < 0.5 and (frames[0].mirror_material >= 0).any()

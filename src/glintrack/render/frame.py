@@ -1,11 +1,11 @@
-"""One frame as the lens receives it, before any sensor: channels at once, or a cube in blocks.
+"""One frame at the lens, before any sensor: channels in one piece, or a cube in blocks.
 
-Radiance is the mean over a band of what reaches the lens, per µm; the sensor's own bands weigh photons.
-In camera geometry Stokes vectors are in the ``detector`` frame, on the ground grid in ``meridian``.
+Radiance is the mean over a band at the lens, per µm, while the sensor's own bands weight photons. In camera
+geometry Stokes vectors are in the ``detector`` frame, on the ground grid in ``meridian``.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -25,21 +25,21 @@ from glintrack.stokes import aop, dolp
 
 Product = Literal["rgb", "radiance", "dolp", "aop"]
 STOKES = ("I", "Q", "U")
-BLOCK_BYTES = 8_000_000  # of a cube in camera geometry held at a time
-ORTHO_BLOCK_BYTES = 64_000_000  # of frames to be rectified: each block shades the whole frame anew
+BLOCK_BYTES = 8_000_000  # of a cube in camera geometry
+ORTHO_BLOCK_BYTES = 64_000_000  # of frames to be rectified: each block shades the whole frame
 _TABLE_WIDTH_UM = 0.01  # every value of the atmosphere's tables is a mean over 10 nm
 
 
 @dataclass(frozen=True)
 class GroundGrid:
-    """Ground grid that a frame may be laid on.
+    """Ground grid of a rectified frame.
 
     Parameters
     ----------
     rows, columns, place
-        Its cells, and where they lie.
+        Numbers of cells, and their place.
     rectify
-        What lays light (y, x, channel, stokes) in the ``detector`` frame on it, in the ``meridian`` frame.
+        Resamples light (y, x, channel, stokes) in the ``detector`` frame to it, in the ``meridian`` frame.
     """
 
     rows: int
@@ -50,20 +50,20 @@ class GroundGrid:
 
 @dataclass(frozen=True)
 class FrameView:
-    """One frame, ready to be asked for any band.
+    """A traced frame, for products in any band.
 
     Parameters
     ----------
     observer, pose
-        What looks at it, from which true pose.
+        Observer and its true pose.
     radiance
-        Light that reaches the lens, as `sensor.expose` takes it.
+        Light at the lens, as for `sensor.expose`.
     frame, time_s
-        Which frame of the flight, and when. [s]
+        Number of the frame in the flight, and its time. [s]
     band_um
-        The band of `render_product` if none is asked for. [µm]
+        Default band of `render_product`. [µm]
     grid
-        Ground grid if frames are rectified; None for camera geometry.
+        Ground grid of rectified frames; None for camera geometry.
     """
 
     observer: Observer
@@ -76,95 +76,104 @@ class FrameView:
 
     @property
     def city(self) -> City:
-        """What is looked at."""
+        """The scene."""
         return self.observer.city
 
     @property
     def sky(self) -> Sky:
-        """By which light."""
+        """Sky and sun."""
         return self.observer.sky
 
     @property
     def camera(self) -> Camera:
-        """Through what."""
+        """The frame camera."""
         return self.observer.camera
 
     @property
     def hits(self) -> Hits:
-        """What its rays meet."""
+        """Hits of the frame's rays."""
         return self.radiance.hits
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the products."""
+        cells = self.grid or self.camera
+        return cells.rows, cells.columns
 
 
 def render_product(
     view: FrameView, product: Product, bands_um: tuple[tuple[float, float], ...] = ()
 ) -> tuple[RasterLayout, Float[Array, "y x channel component"]]:
-    """A picture in natural colour, or radiance (I, Q, U), DoLP or AoP in some bands.
+    """Render a picture in natural colour, or radiance (I, Q, U), DoLP or AoP in some bands.
 
     Parameters
     ----------
     view
         The traced frame.
     product
-        What is wanted. ``rgb`` takes no bands.
+        Name of the product. ``rgb`` has no bands.
     bands_um
-        Bands; the sensor's panchromatic one by default. [µm]
+        Bands; by default the sensor's panchromatic one. [µm]
 
     Returns
     -------
-    What a file of it holds, and its values; NaN where there are no data. [W m⁻² sr⁻¹ µm⁻¹, 1 or rad]
+    Layout of a file, and its values; NaN without data. [W m⁻² sr⁻¹ µm⁻¹, 1 or rad]
 
     Raises
     ------
     ValueError
         If a band is not within the atmosphere's tables or holds none of their wavelengths.
     """
+    sky = view.sky
     if product == "rgb":
-        values = _natural_colour(view)[:, :, None]
-        return _layout(view, values, "rgb", "1", ("",), "colour", ("red", "green", "blue")), values
+        if sky.wavelength_um[0] > 0.45 or sky.wavelength_um[-1] < 0.65:
+            raise ValueError(
+                "`--rgb` must have the atmosphere's tables over 0.45 to 0.65 µm, got "
+                f"{sky.wavelength_um[0]:g} to {sky.wavelength_um[-1]:g} µm"
+            )
+        weights = colour_channels(sky.wavelength_um)
+        picture = natural_colour(_stokes(view, weights)[..., 0], view.observer.white(weights))
+        values = picture.astype(np.float32)[:, :, None]
+        return _layout(view, "rgb", "1", ("",), "colour", ("red", "green", "blue")), values
     bands_um = bands_um or (view.band_um,)
-    light = _stokes(view, _band_weights(view.sky, bands_um))
-    if product == "radiance":
-        values, components, component_dim, units = light, STOKES, "stokes", RADIANCE
-    else:
-        values = (dolp(light) if product == "dolp" else _masked_aop(light))[..., None].astype(np.float32)
-        components, component_dim, units = ("",), "", "1" if product == "dolp" else "rad"
+    for band in bands_um:
+        _check_band(sky, band)
+    responses = [Band("band", *band).response(sky.wavelength_um) for band in bands_um]
+    values = _stokes(view, channel_weights(sky.wavelength_um, np.stack(responses)))
+    components, component_dim, units = STOKES, "stokes", RADIANCE
+    if product == "dolp":
+        values, components, component_dim, units = dolp(values)[..., None], ("",), "", "1"
+    elif product == "aop":
+        angle = np.where(values[..., 0] > 0, aop(np.nan_to_num(values)), np.nan)  # without light none
+        values, components, component_dim, units = angle[..., None], ("",), "", "rad"
     labels = tuple(f"{a:g}-{b:g} um" for a, b in bands_um)
-    layout = _layout(view, values, product, units, labels, component_dim, components, bands_um)
-    return layout, values
+    layout = _layout(view, product, units, labels, component_dim, components, bands_um)
+    return layout, values.astype(np.float32)
 
 
 def cube_layout(view: FrameView, range_um: tuple[float, float] | None = None) -> RasterLayout:
-    """What a file of the full spectral cube holds; arguments as `cube_blocks`."""
-    wavelength = view.sky.wavelength_um[_chosen(view.sky, range_um)]
-    rows, columns = _grid_shape(view)
+    """Layout of a file of the full spectral cube; arguments as of `cube_blocks`."""
+    wavelength, (rows, columns) = view.sky.wavelength_um[_in_range(view.sky, range_um)], view.shape
     channels = len(wavelength)
     if view.grid is None:
         block = (max(BLOCK_BYTES // (12 * columns * channels), 1), channels)
     else:
         larger = max(rows * columns, view.camera.rows * view.camera.columns)
         block = (rows, max(ORTHO_BLOCK_BYTES // (12 * larger), 1))
-    return RasterLayout(
-        name="radiance",
-        units=RADIANCE,
-        rows=rows,
-        columns=columns,
+    names = tuple(f"{x:.3f} um" for x in wavelength)
+    return replace(
+        _layout(view, "radiance", RADIANCE, names, "stokes", STOKES),
         channel_dim="wavelength",
-        channels=tuple(f"{x:.3f} um" for x in wavelength),
-        component_dim="stokes",
-        components=STOKES,
         block=block,
         wavelength_um=tuple(wavelength.tolist()),
         width_um=(_TABLE_WIDTH_UM,) * channels,
-        stokes_frame=_stokes_frame(view),
-        place=_place(view),
-        attributes=_facts(view),
     )
 
 
 def cube_blocks(
     view: FrameView, layout: RasterLayout, range_um: tuple[float, float] | None = None
 ) -> Iterator[tuple[int, int, Float[Array, "y x channel stokes"]]]:
-    """The cube block by block: (first row, first channel, values); `layout.block` of it at a time.
+    """Render the cube block by block: (first row, first channel, values), each of `layout.block`.
 
     Parameters
     ----------
@@ -173,15 +182,15 @@ def cube_blocks(
     layout
         From `cube_layout`.
     range_um
-        Wavelengths to take, both ends included; all by default. [µm]
+        Range of wavelengths, both ends included; all by default. [µm]
 
     Notes
     -----
-    In camera geometry a block is some rows with all wavelengths; on the ground grid, whose rows draw on the
-    whole frame, it is some wavelengths with all rows.
+    In camera geometry a block is some rows with all wavelengths. On the ground grid, with rows from the whole
+    frame, it is some wavelengths with all rows.
     """
     sky = view.sky
-    chosen = _chosen(sky, range_um)
+    chosen = _in_range(sky, range_um)
     rows, channels = layout.block
     if view.grid is not None:
         weights = np.eye(len(sky.wavelength_um))[chosen]
@@ -198,37 +207,13 @@ def _stokes(view: FrameView, weights: Array) -> Float[Array, "y x channel stokes
     return light if view.grid is None else view.grid.rectify(light)
 
 
-def _natural_colour(view: FrameView) -> Float[Array, "y x 3"]:
-    sky = view.sky
-    weights = colour_channels(sky.wavelength_um)
-    if sky.wavelength_um[0] > 0.45 or sky.wavelength_um[-1] < 0.65:
-        raise ValueError(
-            "`--rgb` must have the atmosphere's tables over 0.45 to 0.65 µm, got "
-            f"{sky.wavelength_um[0]:g} to {sky.wavelength_um[-1]:g} µm"
-        )
-    white = view.observer.white(weights)
-    return natural_colour(_stokes(view, weights)[..., 0], white).astype(np.float32)
-
-
-def _masked_aop(light: Array) -> Array:
-    """Angle of polarization; NaN where there is no light to have one."""
-    return np.where(light[..., 0] > 0, aop(np.nan_to_num(light)), np.nan)
-
-
-def _chosen(sky: Sky, range_um: tuple[float, float] | None) -> Array:
-    """Which wavelengths of the tables lie in a range, as a mask."""
+def _in_range(sky: Sky, range_um: tuple[float, float] | None) -> Array:
+    """Mask of the wavelengths of the tables in a range."""
     table = sky.wavelength_um
     low, high = range_um or (table[0], table[-1])
     if range_um is not None:
         _check_band(sky, range_um)
     return (table >= low - 1e-9) & (table <= high + 1e-9)
-
-
-def _band_weights(sky: Sky, bands_um: tuple[tuple[float, float], ...]) -> Float[Array, "channel wavelength"]:
-    for band in bands_um:
-        _check_band(sky, band)
-    responses = [Band("band", *band).response(sky.wavelength_um) for band in bands_um]
-    return channel_weights(sky.wavelength_um, np.stack(responses))
 
 
 def _check_band(sky: Sky, band_um: tuple[float, float]) -> None:
@@ -247,30 +232,8 @@ def _check_band(sky: Sky, band_um: tuple[float, float]) -> None:
         )
 
 
-def _grid_shape(view: FrameView) -> tuple[int, int]:
-    if view.grid is None:
-        return view.camera.rows, view.camera.columns
-    return view.grid.rows, view.grid.columns
-
-
-def _stokes_frame(view: FrameView) -> str:
-    return "detector" if view.grid is None else "meridian"
-
-
-def _place(view: FrameView) -> GroundPlace | None:
-    return None if view.grid is None else view.grid.place
-
-
-def _facts(view: FrameView) -> tuple[tuple[str, str | float], ...]:
-    pose = view.pose
-    facts = {"frame": view.frame, "time_s": view.time_s, "lens_east_m": round(pose.east_m, 3)}
-    facts |= {"lens_north_m": round(pose.north_m, 3), "lens_up_m": round(pose.up_m, 3)}
-    return tuple(facts.items())
-
-
 def _layout(
     view: FrameView,
-    values: Array,
     name: str,
     units: str,
     channels: tuple[str, ...],
@@ -278,7 +241,10 @@ def _layout(
     components: tuple[str, ...],
     bands_um: tuple[tuple[float, float], ...] = (),
 ) -> RasterLayout:
-    rows, columns = values.shape[:2]
+    (rows, columns), pose = view.shape, view.pose
+    facts = {"frame": view.frame, "time_s": view.time_s, "lens_east_m": round(pose.east_m, 3)}
+    facts |= {"lens_north_m": round(pose.north_m, 3), "lens_up_m": round(pose.up_m, 3)}
+    stokes_frame = "detector" if view.grid is None else "meridian"
     return RasterLayout(
         name=name,
         units=units,
@@ -291,7 +257,7 @@ def _layout(
         block=(rows, len(channels)),
         wavelength_um=tuple(0.5 * (a + b) for a, b in bands_um),
         width_um=tuple(b - a for a, b in bands_um),
-        stokes_frame="" if name in ("rgb", "dolp") else _stokes_frame(view),
-        place=_place(view),
-        attributes=_facts(view),
+        stokes_frame="" if name in ("rgb", "dolp") else stokes_frame,
+        place=view.grid and view.grid.place,
+        attributes=tuple(facts.items()),
     )

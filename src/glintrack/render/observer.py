@@ -1,4 +1,4 @@
-"""A camera over a city: the set-up that every frame shares, made once, and what each frame's rays meet."""
+"""A camera over a city: the set-up that all frames share, and the hits and light of each frame."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from glintrack.render.light.gather import material_classes
 from glintrack.render.light.sky import Sky
 from glintrack.render.rays.surfaces import Tracer
 from glintrack.render.shade import FrameSpectra, shade, shade_blocks
-from glintrack.render.shading.hits import Hits, among, nothing_of
+from glintrack.render.shading.hits import Hits, merge_frames
 from glintrack.render.shading.materials import MIRROR_ROUGHNESS
 from glintrack.render.shading.projection import standing_elements
 from glintrack.render.trace import trace
@@ -28,7 +28,7 @@ SURROUNDINGS = "grass"  # the level ground beyond the city's edge
 
 @dataclass(frozen=True)
 class TracedFrame:
-    """What a frame's rays met, how much of each moving vehicle they saw, and from where they came.
+    """Hits of a frame and the visible fraction of its moving vehicles.
 
     Parameters
     ----------
@@ -47,27 +47,27 @@ class TracedFrame:
 
 
 class FrameCache(Protocol):
-    """Where traced frames of one geometry are kept, so that cases which share it trace once."""
+    """Cache of the traced frames of one geometry, for cases that share it."""
 
     def get(self, time_s: float, observe: Callable[[], TracedFrame]) -> TracedFrame:
-        """The frame of that time: a kept one, or what ``observe`` gives."""
+        """Return the cached frame of a time, or the result of ``observe``."""
         ...
 
 
 @runtime_checkable
 class LightCache(FrameCache, Protocol):
-    """One that keeps the light of frames too, for cases that share the sky and the sensor's channels."""
+    """Cache that also has the light of frames, for cases that share the sky and the sensor's channels."""
 
     def light(
         self, time_s: float, observer: "Observer", channels: Array, shade: Callable[[], xr.DataArray]
     ) -> xr.DataArray:
-        """Light of the frame of that time in some channels: a kept one, or what ``shade`` gives."""
+        """Return the cached light of a frame in some channels, or the result of ``shade``."""
         ...
 
 
 @dataclass(frozen=True)
 class FrameRadiance:
-    """Light of a traced frame on demand: `shade`, bound to what its rays met (a `Radiance`)."""
+    """Light of a traced frame on demand: `shade`, bound to the frame's hits (a `Radiance`)."""
 
     hits: Hits
     sky: Sky
@@ -78,7 +78,7 @@ class FrameRadiance:
         return shade(self.hits, self.sky, self.materials, channels, pixels, spectra=self._spectra)
 
     def blocks(self, wavelength_um: Array, rows: int) -> Iterator[tuple[int, xr.DataArray]]:
-        """First row and light at some wavelengths of blocks of so many rows; see `shade_blocks`."""
+        """Light at some wavelengths of blocks of rows, with the first row of each; see `shade_blocks`."""
         return shade_blocks(self.hits, self.sky, self.materials, wavelength_um=wavelength_um, rows=rows)
 
     @cached_property
@@ -87,13 +87,13 @@ class FrameRadiance:
 
 
 def keep_frames(radiance: Radiance, cache: Callable[..., xr.DataArray] | None = None) -> Radiance:
-    """The same light, shading whole frames once for all who ask for the same channels.
+    """Shade whole frames once for all calls with the same channels.
 
-    ``cache(channels, shade)`` is asked for each first; by default ``shade()`` is called.
+    A frame comes from ``cache(channels, shade)``; by default from ``shade()``.
     """
     frames: dict[bytes, xr.DataArray] = {}
 
-    def kept(channels: Array, pixels: Array | None = None) -> xr.DataArray:
+    def look_up(channels: Array, pixels: Array | None = None) -> xr.DataArray:
         if pixels is not None:
             return radiance(channels, pixels)
         key = np.ascontiguousarray(channels).tobytes()
@@ -102,23 +102,23 @@ def keep_frames(radiance: Radiance, cache: Callable[..., xr.DataArray] | None = 
             frames[key] = shade() if cache is None else cache(channels, shade)
         return frames[key]
 
-    return kept
+    return look_up
 
 
 @dataclass(frozen=True)
 class Observer:
-    """A camera over a city under a sky, with intersectors that are built when first needed.
+    """A camera over a city under a sky, with intersectors that are built at first use.
 
     Parameters
     ----------
     city, sky, camera
-        What is looked at, by which light, through what.
+        The scene, its light, and the frame camera.
     first
-        The city at any time: what the intersectors are built from.
+        The city at any time, from which the intersectors are built.
     oversampling
         Rays along each side of an element.
     sun_samples
-        Points of the sun's disc toward which shadow rays go.
+        Number of shadow rays, toward points of the sun's disc.
     """
 
     city: City
@@ -130,8 +130,10 @@ class Observer:
 
     @cached_property
     def tracer(self) -> SceneTracer:
-        """Intersector of all that stands and drives, with the sky views of what stands."""
-        return tracer_of(self.city, self.first)
+        """Intersector of the scene, with the probes of its fixed part."""
+        materials = self.city.materials
+        shares, gaps = material_classes(materials).shares, materials["gap_fraction"].values
+        return build_tracer(self.first, gaps, shares, self.city.extent_m)
 
     @cached_property
     def vehicle_tracer(self) -> Tracer:
@@ -139,7 +141,7 @@ class Observer:
         return build_vehicle_tracer(self.first)
 
     def replace(self, **changes: Any) -> "Observer":
-        """An observer of the same scene with another camera or other rays; it shares the intersector."""
+        """Copy the observer with another camera or other rays; the copy shares the intersector."""
         other = replace(self, **changes)
         other.__dict__["tracer"] = self.tracer  # built once for all
         return other
@@ -148,34 +150,22 @@ class Observer:
         """Build the intersectors now."""
         _ = self.tracer, self.vehicle_tracer
 
-    @property
-    def _surroundings(self) -> int:
-        """Material of the level ground beyond the scene's edge."""
-        return self.city.materials["material"].values.tolist().index(SURROUNDINGS)
-
     def trace(self, snapshot: Snapshot, pose: Pose, elements: Array | None = None) -> Hits:
-        """What the rays of one frame, or of some of its elements, meet from a true pose; see `trace`."""
-        return trace(
-            snapshot,
-            self.camera,
-            pose,
-            self.sky.sun_direction,
-            roughness=self.city.materials["roughness"].values,
-            surroundings=self._surroundings,
-            oversampling=self.oversampling,
-            tracer=self.tracer,
-            sun_samples=self.sun_samples,
-            elements=elements,
-        )
+        """Trace the rays of a frame, or of some of its elements, from a true pose; see `trace`."""
+        materials = self.city.materials
+        surroundings = materials["material"].values.tolist().index(SURROUNDINGS)
+        lit = self.sky.sun_direction, materials["roughness"].values, surroundings
+        rays = self.oversampling, self.tracer, self.sun_samples
+        return trace(snapshot, self.camera, pose, *lit, *rays, elements)
 
     def observe(self, snapshot: Snapshot, pose: Pose) -> TracedFrame:
-        """One frame's hits, and the part of each vehicle that they show."""
+        """Trace a frame and find the visible fraction of each moving vehicle."""
         hits = self.trace(snapshot, pose)
         seen = visible_fraction(snapshot, self.camera, pose, self.tracer, self.vehicle_tracer)
         return TracedFrame(hits, seen, self.camera, pose)
 
     def trace_without_traffic(self, snapshot: Snapshot, pose: Pose, hits: Hits) -> Hits:
-        """Hits of a frame without its traffic, of the elements alone that traffic may change.
+        """Trace a frame without its traffic, only the elements that traffic may change.
 
         Those are elements whose rays may meet a vehicle or its shadow (`elements_near_traffic`), those with a
         smooth surface, which may mirror one or the other, and those where vehicles take light of the sky.
@@ -187,19 +177,15 @@ class Observer:
         smooth = self.city.materials["roughness"].values < MIRROR_ROUGHNESS
         mirrors = (hits.material >= 0) & smooth[hits.material]
         may[hits.element[mirrors | (hits.sky_left < 255)]] = True
-        elements = np.flatnonzero(may)
-        if not elements.size:  # no vehicle near what is seen
-            return nothing_of(hits)
-        return self.trace(snapshot.without_traffic(), pose, elements)
+        return self.trace(snapshot.without_traffic(), pose, np.flatnonzero(may))
 
     def radiance(self, hits: Hits) -> Radiance:
-        """Light that reaches the lens from what the rays met."""
+        """Light that reaches the lens from the hits of a frame."""
         return FrameRadiance(hits, self.sky, self.city.materials)
 
-    def partial_radiance(self, anew: Hits, frame: Hits) -> Radiance:
-        """The same of elements alone that were traced anew, of a frame that else met ``frame``."""
-        standing = standing_elements(frame.rows * frame.columns)
-        return self.radiance(among(anew, frame, standing))
+    def partial_radiance(self, some: Hits, frame: Hits) -> Radiance:
+        """Light from the hits of some elements, in a frame with ``frame`` at all others."""
+        return self.radiance(merge_frames(some, frame, standing_elements(frame.rows * frame.columns)))
 
     def surface_model(self, step_m: float) -> xr.Dataset:
         """Heights of roofs and crowns over the city; see `surface_model`."""
@@ -209,10 +195,3 @@ class Observer:
         """Radiance of a level white panel on the ground, in some channels. [W m⁻² sr⁻¹ µm⁻¹]"""
         sky = self.sky
         return channels @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
-
-
-def tracer_of(city: City, first: Snapshot) -> SceneTracer:
-    """Intersector of a city; ``first`` is the city at any time."""
-    materials = city.materials
-    shares, gaps = material_classes(materials).shares, materials["gap_fraction"].values
-    return build_tracer(first, gaps, shares, city.extent_m)

@@ -11,7 +11,7 @@ from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose, look_at
 from glintrack.core.arrays import Array
 from glintrack.core.colour import colour_channels, natural_colour
-from glintrack.render.light.sky import Sky, unpack_sky
+from glintrack.render.light.sky import unpack_sky
 from glintrack.render.observer import Observer
 from glintrack.scene import City
 
@@ -25,16 +25,16 @@ _LOWEST_GROUND_M = -2.0  # rays start above ENU zero
 
 @dataclass(frozen=True)
 class Preview:
-    """A picture of a city, and from where it was taken.
+    """A picture of a city, with its camera.
 
     Parameters
     ----------
     picture
-        sRGB, 0 to 1. White-balanced, lit by the default atmosphere's sun and sky; there is no air between.
+        sRGB, 0 to 1. White-balanced, in the light of the default atmosphere, without path radiance.
     camera, pose
-        That took it.
+        Camera and pose of the picture.
     sun_direction
-        Toward the sun, unit vector in ENU.
+        Unit vector toward the sun, ENU.
     """
 
     picture: Float[Array, "y x 3"]
@@ -44,12 +44,12 @@ class Preview:
 
 
 def preview(city: City, view: View = "oblique", columns: int = 1600, time_s: float = 30.0) -> Preview:
-    """Picture of a city in natural colour.
+    """Render a city in natural colour.
 
     Parameters
     ----------
     city
-        What to show.
+        The city.
     view
         ``plan`` from straight above, ``oblique`` from the south-west, ``street`` from behind a vehicle.
     columns
@@ -59,22 +59,15 @@ def preview(city: City, view: View = "oblique", columns: int = 1600, time_s: flo
     """
     time_s = min(time_s, city.duration_s)
     camera, pose = _camera(city, view, columns, time_s)
-    sky = _clear_air(unpack_sky(solve_tables(AtmosphereDesign()), 2000.0))
+    sky = unpack_sky(solve_tables(AtmosphereDesign()), 2000.0)
+    no_path, clear = np.zeros_like(sky.path_spectrum), np.ones_like(sky.transmittance)
+    sky = replace(sky, path_spectrum=no_path, transmittance=clear)
     now = city.at(time_s)
     observer = Observer(city, sky, camera, now, oversampling=2)
     channels = colour_channels(sky.wavelength_um)
     light = observer.radiance(observer.trace(now, pose))
     picture = natural_colour(light(channels).values[..., 0], observer.white(channels))
     return Preview(picture, camera, pose, sky.sun_direction)
-
-
-def _clear_air(sky: Sky) -> Sky:
-    """The same light without the air between scene and lens."""
-    return replace(
-        sky,
-        path_spectrum=np.zeros_like(sky.path_spectrum),
-        transmittance=np.ones_like(sky.transmittance),
-    )
 
 
 def _camera(city: City, view: View, columns: int, time_s: float) -> tuple[Camera, Pose]:
@@ -89,18 +82,14 @@ def _camera(city: City, view: View, columns: int, time_s: float) -> tuple[Camera
     if view == "oblique":
         away = 0.62 * math.hypot(wide, high) + 150.0
         azimuth = math.radians(200)
-        flat = away * math.cos(_OBLIQUE_DEPRESSION_RAD)
-        eye = middle + [
-            flat * math.sin(azimuth),
-            flat * math.cos(azimuth),
-            away * math.sin(_OBLIQUE_DEPRESSION_RAD),
-        ]
+        flat, up = away * math.cos(_OBLIQUE_DEPRESSION_RAD), away * math.sin(_OBLIQUE_DEPRESSION_RAD)
+        eye = middle + [flat * math.sin(azimuth), flat * math.cos(azimuth), up]
         return camera, look_at(Pose(*eye.tolist()), middle)
     return camera, _behind_a_vehicle(city, middle, time_s)
 
 
 def _behind_a_vehicle(city: City, middle: Array, time_s: float) -> Pose:
-    """Pose behind the moving vehicle nearest the middle; in the middle, looking north, if there is none."""
+    """Pose behind the moving vehicle nearest to the middle; without one in the middle, toward the north."""
     truth = city.truth(time_s)
     east, north, up, heading = (truth[name].values for name in ("east", "north", "up", "heading"))
     speed = np.hypot(truth["east_speed"].values, truth["north_speed"].values)

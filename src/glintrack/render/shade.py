@@ -1,10 +1,10 @@
 """Spectra on demand: each hit becomes a few coefficients, each channel one small dot product.
 
-`projection` weighs the spectra with the channels, `rough` gathers what rough surfaces reflect, and `pixels`
-puts both together ray by ray. docs/theory/rendering.md has the equations.
+`projection` weights the spectra with the channels, `rough` gathers the reflection of rough surfaces, and
+`pixels` combines both ray by ray. docs/theory/rendering.md has the equations.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 
 import numpy as np
@@ -19,9 +19,9 @@ from glintrack.render.light.sky import Sky
 from glintrack.render.shading.diffuse import light_probes
 from glintrack.render.shading.hits import Hits
 from glintrack.render.shading.materials import MaterialTables, unpack_surfaces
-from glintrack.render.shading.pixels import ShadedFrame, mottle_lattice, shade_pixels, unpack_rays
-from glintrack.render.shading.projection import FrameGrid, Light, ToProbes, frame_grid, project_spectra
-from glintrack.render.shading.rough import VIEW_SPACING_RAD, PrefilteredReflection, prefilter
+from glintrack.render.shading.pixels import ShadedFrame, mottle_lattice, shade_pixels
+from glintrack.render.shading.projection import FrameGrid, Light, frame_grid, project_spectra
+from glintrack.render.shading.rough import VIEW_SPACING_RAD, prefilter
 
 
 def shade(
@@ -33,7 +33,7 @@ def shade(
     wavelength_um: Float[Array, "channel"] | None = None,
     spectra: "FrameSpectra | None" = None,
 ) -> xr.DataArray:
-    """Stokes radiance that reaches the lens, in the ``detector`` frame.
+    """Stokes radiance at the lens, in the ``detector`` frame.
 
     Channels over the frame, spectra at a few pixels; for a full cube see `shade_blocks`.
 
@@ -48,16 +48,16 @@ def shade(
     channels
         Weights on ``sky.wavelength_um``, as `spectral.channel_weights` makes them. [1]
     pixels
-        (row, column) of the elements wanted; the whole frame by default.
+        (row, column) of some elements; the whole frame by default.
     wavelength_um
-        Instead of channels: where the spectrum is wanted, linear between those of the sky. [µm]
+        Wavelengths instead of channels; linear between those of the sky. [µm]
     spectra
-        Of the same frame, kept from call to call.
+        Projected spectra of the same frame, for several calls.
 
     Returns
     -------
-    Dims (y, x, channel, stokes), or (pixel, channel, stokes) if pixels were named; ``wavelength`` in place of
-    ``channel`` if wavelengths were. [W m⁻² sr⁻¹ µm⁻¹]
+    Dims (y, x, channel, stokes), with pixels (pixel, channel, stokes); with wavelengths ``wavelength``
+    instead of ``channel``. [W m⁻² sr⁻¹ µm⁻¹]
 
     Raises
     ------
@@ -70,11 +70,11 @@ def shade(
     else:
         row, column = np.asarray(pixels, dtype=int).T
         index = np.atleast_1d(np.ravel_multi_index((row, column), (hits.rows, hits.columns)))
-    shader = _Shader(hits, spectra or FrameSpectra(hits, sky, materials), channels, index)
-    light = shader.pixels(index, shader.prefilter(index))
+    spectra = spectra or FrameSpectra(hits, sky, materials)
+    light = next(_shade_parts(hits, spectra, channels, index, [index]))
     if pixels is not None:
-        return _labelled(light, ("pixel",), wavelength_um)
-    return _labelled(light.reshape(hits.rows, hits.columns, len(channels), 3), ("y", "x"), wavelength_um)
+        return _label(light, ("pixel",), wavelength_um)
+    return _label(light.reshape(hits.rows, hits.columns, len(channels), 3), ("y", "x"), wavelength_um)
 
 
 def shade_blocks(
@@ -84,9 +84,8 @@ def shade_blocks(
     channels: Float[Array, "channel wavelength"] | None = None,
     wavelength_um: Float[Array, "channel"] | None = None,
     rows: int = 32,
-    spectra: "FrameSpectra | None" = None,
 ) -> Iterator[tuple[int, xr.DataArray]]:
-    """Shade a frame in blocks of rows: a full cube need never be in memory at once.
+    """Shade a frame in blocks of rows, so that a full cube need not be in memory.
 
     Parameters
     ----------
@@ -94,28 +93,24 @@ def shade_blocks(
         As for `shade`.
     rows
         Rows of a block, at least one; the last block may have fewer.
-    spectra
-        As for `shade`.
 
     Yields
     ------
-    The block's first row, and what `shade` would give for its rows: dims (y, x, channel or wavelength,
+    The block's first row, and the result of `shade` for its rows: dims (y, x, channel or wavelength,
     stokes).
     """
     if rows < 1:
         raise ValueError(f"`rows` must be at least 1, got {rows}")
     channels = _weights(sky, channels, wavelength_um)
     index = np.arange(hits.rows * hits.columns)
-    shader = _Shader(hits, spectra or FrameSpectra(hits, sky, materials), channels, index)
-    rough = shader.prefilter(index)
-    for first in range(0, hits.rows, rows):
-        last = min(first + rows, hits.rows)
-        light = shader.pixels(np.arange(first * hits.columns, last * hits.columns), rough)
-        yield first, _labelled(light.reshape(last - first, hits.columns, -1, 3), ("y", "x"), wavelength_um)
+    parts = (index[k : k + rows * hits.columns] for k in range(0, len(index), rows * hits.columns))
+    shaded = _shade_parts(hits, FrameSpectra(hits, sky, materials), channels, index, parts)
+    for first, light in zip(range(0, hits.rows, rows), shaded, strict=True):
+        yield first, _label(light.reshape(-1, hits.columns, *light.shape[1:]), ("y", "x"), wavelength_um)
 
 
 def _weights(sky: Sky, channels: Array | None, wavelength_um: Array | None) -> Array:
-    """Channel weights on the sky's grid, whichever way they were asked for."""
+    """Channel weights on the sky's grid, from channels or wavelengths."""
     grid = sky.wavelength_um
     if (channels is None) == (wavelength_um is None):
         raise ValueError("`shade` must be given either channels or wavelength_um, got both or neither")
@@ -130,8 +125,8 @@ def _weights(sky: Sky, channels: Array | None, wavelength_um: Array | None) -> A
     return resample(wavelength_um, grid, np.eye(len(grid)), "wavelength_um of the sky").T
 
 
-def _labelled(light: Array, leading: tuple[str, ...], wavelength_um: Array | None) -> xr.DataArray:
-    """Stokes radiance with its dims, unit and reference axis."""
+def _label(light: Array, leading: tuple[str, ...], wavelength_um: Array | None) -> xr.DataArray:
+    """Label Stokes radiance with its dims, unit and reference axis."""
     coords: dict = {"stokes": ["I", "Q", "U"]}
     spectral_dim = "channel"
     if wavelength_um is not None:
@@ -142,27 +137,27 @@ def _labelled(light: Array, leading: tuple[str, ...], wavelength_um: Array | Non
 
 
 class FrameSpectra:
-    """Spectra of a frame contracted with channels, once for all calls that ask for the same channels.
+    """Spectra of a frame contracted with channels, once for all calls with the same channels.
 
-    Of the hits, directions of look and the samples of `projection.standing_elements` are read.
+    Directions of look and the samples of `projection.standing_elements` represent the hits.
     """
 
     def __init__(self, hits: Hits, sky: Sky, materials: xr.Dataset):
         self._hits, self.sky, self._materials = hits, sky, materials
-        self._projected: dict[bytes, tuple[Light, ToProbes]] = {}
+        self._projected: dict[bytes, Light] = {}
 
     @cached_property
     def looks(self) -> FrameGrid:
-        """Directions of look that `prefilter` takes."""
+        """Directions of look for `prefilter`."""
         return frame_grid(self._hits, VIEW_SPACING_RAD)
 
     @cached_property
     def surfaces(self) -> MaterialTables:
-        """Materials as kernels read them."""
+        """Material tables for kernels."""
         return unpack_surfaces(self._materials, self.sky.wavelength_um)
 
-    def projected(self, channels: Float[Array, "channel wavelength"]) -> tuple[Light, ToProbes]:
-        """What `project_spectra` makes of some channels."""
+    def project(self, channels: Float[Array, "channel wavelength"]) -> Light:
+        """Call `project_spectra` once for the same channels."""
         key = channels.tobytes()
         if key not in self._projected:
             of_frame = self._hits, self.sky, self._materials, self.surfaces
@@ -170,25 +165,15 @@ class FrameSpectra:
         return self._projected[key]
 
 
-class _Shader:
-    """A frame made ready for channels: everything that is not done pixel by pixel."""
-
-    def __init__(self, hits: Hits, spectra: FrameSpectra, channels: Array, index: Array):
-        self._hits, self._rays, self._looks = hits, unpack_rays(hits), spectra.looks
-        self._sun, self._surfaces = spectra.sky.sun_direction, spectra.surfaces
-        self._channels = len(channels)
-        light, to_probes = spectra.projected(channels)
-        self._light = light._replace(probes=light_probes(hits, *to_probes, index))
-
-    def prefilter(self, index: Int[Array, "pixel"]) -> PrefilteredReflection:
-        """Table of what rough surfaces reflect, wherever some elements need it."""
-        return prefilter(self._hits, index, self._surfaces, self._light.sky_map, self._sun, self._looks)
-
-    def pixels(
-        self, index: Int[Array, "pixel"], rough: PrefilteredReflection
-    ) -> Float[Array, "pixel channel 3"]:
-        """Stokes radiance of some elements; components lie apart in memory, channels together."""
-        out = np.empty((len(index), 3, self._channels), np.float32)
-        frame = ShadedFrame(self._rays, self._surfaces, self._light, rough, self._sun, mottle_lattice())
-        over_rows(shade_pixels, len(index), index, frame, out)
-        return out.transpose(0, 2, 1)
+def _shade_parts(
+    hits: Hits, spectra: FrameSpectra, channels: Array, index: Array, parts: Iterable[Int[Array, "pixel"]]
+) -> Iterator[Float[Array, "pixel channel 3"]]:
+    """Shade parts of the elements ``index``; components lie apart in memory, channels together."""
+    sun, light = spectra.sky.sun_direction, spectra.project(channels)
+    light = light._replace(probes=light_probes(hits, light.by_patch, light.by_bounce, index))
+    rough = prefilter(hits, index, spectra.surfaces, light.sky_map, sun, spectra.looks)
+    frame = ShadedFrame(hits, spectra.surfaces, light, rough, sun, mottle_lattice())
+    for part in parts:
+        out = np.empty((len(part), 3, len(channels)), np.float32)
+        over_rows(shade_pixels, len(part), part, frame, out)
+        yield out.transpose(0, 2, 1)

@@ -1,15 +1,12 @@
-"""Geometry once: where each element's rays land, and what stands between those points, the sun and the sky.
+"""Geometry of a frame: the surfaces that each element's rays meet, and their light of sun and sky.
 
-Nothing here depends on wavelength, filter, tracker or reported pose. Every element gets an even grid of
-rays.
+Nothing here depends on wavelength, filter, tracker or reported pose. Every element gets an even grid of rays.
 
-Rays of an element that met the same plane (material, instance, normal and offset) are one sample; smooth
-surfaces keep one for each ray, whose mirrored ray goes its own way.
+Rays of an element that meet the same plane (material, instance, normal and offset) are one sample. Smooth
+surfaces have one for each ray, because their mirrored rays differ.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numba as nb
@@ -24,28 +21,30 @@ from glintrack.render.light.lattice import BY_SIDES, OPEN
 from glintrack.render.rays.surfaces import NO_HIT, SHADOW_OFFSET_M, SurfaceHits
 from glintrack.render.shading.hits import PROBES, Hits
 from glintrack.render.shading.materials import MIRROR_ROUGHNESS
-from glintrack.render.surface_light import LightAround, light_around
-from glintrack.render.tracer import Lit, SceneTracer, build_tracer
+from glintrack.render.surface_light import light_around
+from glintrack.render.tracer import SceneTracer, SunlitScene, build_tracer
 from glintrack.scene import Snapshot
 
-_SAME_PLANE_M = 0.1  # planes farther apart are two: a kerb is higher, and light beside it another
+_SAME_PLANE_M = 0.1  # planes farther apart are two: a kerb is higher, and has other light
+_RAYS_AT_A_TIME = 32768
+_LOT = 16  # elements: whole packets of rays
 
 
 class Samples(NamedTuple):
-    """What the rays of some elements met; see `Hits` for the fields not named here.
+    """Samples of some elements, one element's after the other's; see `Hits` for the fields not named here.
 
     Parameters
     ----------
     count
-        Number of samples of each element, one element's after the other's.
+        Number of samples of each element.
     rays
-        Number of rays that a sample stands for.
+        Number of rays of a sample.
     instance
-        Which of the snapshot's instances was met; −1 for the static mesh and for none.
-    mirror
-        Where a smooth sample's ray stands in the last two fields; −1 for rough ones.
-    smooth_direction, smooth_lifted
-        Of smooth samples: the ray's own direction, and where its mirrored ray starts. [1, m]
+        Index of the snapshot's instance; −1 for the static mesh and for none.
+    is_smooth
+        True for a sample of one ray, which is mirrored.
+    direction, lifted
+        Direction of the sample's first ray, and origin of its mirrored ray. [1, m]
     """
 
     count: Int[Array, "chosen"]
@@ -57,125 +56,72 @@ class Samples(NamedTuple):
     vehicle_id: Int[Array, "sample"]
     instance: Int[Array, "sample"]
     sun_visible: Float[Array, "sample"]
-    mirror: Int[Array, "sample"]
-    smooth_direction: Float[Array, "smooth 3"]
-    smooth_lifted: Float[Array, "smooth 3"]
+    is_smooth: Bool[Array, "sample"]
+    direction: Float[Array, "sample 3"]
+    lifted: Float[Array, "sample 3"]
 
 
-def merge_rays(
-    elements: int,
-    n: int,
-    direction: Float[Array, "ray 3"],
-    seen: SurfaceHits,
-    light: Float[Array, "ray"],
-    is_smooth: Bool[Array, "material"],
+def _merge_rays(
+    elements: int, direction: Float[Array, "ray 3"], seen: SurfaceHits, light: Array, is_smooth: Array
 ) -> Samples:
-    """Merge the rays of some elements to samples.
-
-    Parameters
-    ----------
-    elements, n
-        Number of elements, and of the rays of each, one element's after the other's.
-    direction, seen, light
-        Of the rays: where they go, what they met, and the part of the sun's light that arrives there.
-    is_smooth
-        Materials whose mirrored ray is followed.
-    """
+    """Merge the rays of some elements to samples; ``is_smooth`` are the materials with mirrored rays."""
     rays = len(direction)
     out = Samples(
         count=np.zeros(elements, np.int64),
         rays=np.empty(rays, np.float32),
-        point=np.empty((rays, 3), np.float32),
-        normal=np.empty((rays, 3), np.float32),
-        range_m=np.empty(rays, np.float32),
-        material=np.empty(rays, np.int16),
-        vehicle_id=np.empty(rays, np.int32),
-        instance=np.empty(rays, np.int32),
-        sun_visible=np.empty(rays, np.float32),
-        mirror=np.empty(rays, np.int32),
-        smooth_direction=np.empty((rays, 3), np.float32),
-        smooth_lifted=np.empty((rays, 3), np.float32),
+        sun_visible=light.copy(),
+        is_smooth=np.empty(rays, np.bool_),
+        direction=direction,
+        **{name: getattr(seen, name).copy() for name in SurfaceHits._fields if name != "sun_cosine"},
     )
-    samples, smooth = _merge(n, direction, seen, light, is_smooth, out)
-    own = [values[:samples].copy() for values in out[1:-2]]
-    return Samples(out.count, *own, *(values[:smooth].copy() for values in out[-2:]))
-
-
-def concatenate_samples(lots: list[Samples]) -> Samples:
-    """Samples of the elements of several lots, one lot's after the other's."""
-    smooth = np.cumsum([0, *(len(lot.smooth_lifted) for lot in lots)])
-    moved = [
-        lot._replace(mirror=np.where(lot.mirror >= 0, lot.mirror + np.int32(start), np.int32(-1)))
-        for lot, start in zip(lots, smooth[:-1].tolist(), strict=True)
-    ]
-    return Samples(*(np.concatenate(values) for values in zip(*moved, strict=True)))
+    samples = _merge(rays // max(elements, 1), seen, is_smooth, out)
+    return Samples(out.count, *(values[:samples] for values in out[1:]))
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
-def _merge(n, direction, seen, light, is_smooth, out):
-    sample = smooth = 0
+def _merge(n, seen, is_smooth, out):
+    """Move the first ray of each sample to its row, and average the others into it; return their number."""
+    sample = 0
     for k in range(len(out.count)):
         begin = sample
         for ray in range(k * n, (k + 1) * n):
             material = seen.material[ray]
             mirrors = material >= 0 and is_smooth[material]
-            if not mirrors:
-                same = sample - 1
-                while same >= begin and not _is_same(out, same, seen, ray):
-                    same -= 1
-                if same >= begin:
-                    _add(out, same, seen.point[ray], seen.range_m[ray], light[ray])
-                    continue
-            out.rays[sample], out.range_m[sample], out.sun_visible[sample] = (
-                1.0,
-                seen.range_m[ray],
-                light[ray],
-            )
-            out.material[sample], out.instance[sample] = material, seen.instance[ray]
-            out.vehicle_id[sample] = seen.vehicle_id[ray]
-            out.mirror[sample] = smooth if mirrors else -1
-            for c in range(3):
-                out.point[sample, c], out.normal[sample, c] = seen.point[ray, c], seen.normal[ray, c]
-                if mirrors:
-                    out.smooth_direction[smooth, c] = direction[ray, c]
-                    out.smooth_lifted[smooth, c] = seen.lifted[ray, c]
-            sample, smooth = sample + 1, smooth + (1 if mirrors else 0)
+            same = begin - 1 if mirrors else sample - 1
+            while same >= begin and not _is_same(out, same, seen, ray):
+                same -= 1
+            if same >= begin:
+                out.rays[same] += np.float32(1.0)
+                part = np.float32(1.0) / out.rays[same]
+                if np.isfinite(seen.range_m[ray]):
+                    out.range_m[same] += part * (seen.range_m[ray] - out.range_m[same])
+                out.sun_visible[same] += part * (out.sun_visible[ray] - out.sun_visible[same])
+                for c in range(3):
+                    out.point[same, c] += part * (seen.point[ray, c] - out.point[same, c])
+                continue
+            out.rays[sample], out.is_smooth[sample] = 1.0, mirrors
+            for values in (out.range_m, out.sun_visible):
+                values[sample] = values[ray]
+            for values in (out.vehicle_id, out.instance):
+                values[sample] = values[ray]
+            out.material[sample] = material
+            for values in (out.point, out.normal, out.direction, out.lifted):
+                for c in range(3):
+                    values[sample, c] = values[ray, c]
+            sample += 1
         out.count[k] = sample - begin
-    return sample, smooth
+    return sample
 
 
 @nb.njit(cache=True, forceinline=True)
 def _is_same(these, one, those, other):
-    """Whether two met the same plane of the same thing."""
-    same = (
-        these.material[one] == those.material[other]
-        and these.instance[one] == those.instance[other]
-        and these.normal[one, 0] == those.normal[other, 0]
-        and these.normal[one, 1] == those.normal[other, 1]
-        and these.normal[one, 2] == those.normal[other, 2]
-    )
-    if not same:
-        return False
+    """Return True if two rays met the same plane of the same thing."""
+    same = these.material[one] == those.material[other] and these.instance[one] == those.instance[other]
     apart = np.float32(0.0)
     for c in range(3):
+        same &= these.normal[one, c] == those.normal[other, c]
         apart += these.normal[one, c] * (those.point[other, c] - these.point[one, c])
-    return abs(apart) < _SAME_PLANE_M
-
-
-@nb.njit(cache=True, forceinline=True, error_model="numpy")
-def _add(out, k, point, range_m, light):
-    """Take one more ray into a sample's means."""
-    out.rays[k] += np.float32(1.0)
-    part = np.float32(1.0) / out.rays[k]
-    if np.isfinite(range_m):
-        out.range_m[k] += part * (range_m - out.range_m[k])
-    out.sun_visible[k] += part * (light - out.sun_visible[k])
-    for c in range(3):
-        out.point[k, c] += part * (point[c] - out.point[k, c])
-
-
-_RAYS_AT_A_TIME = 32768
-_LOT = 16  # elements: whole packets of rays
+    return same and abs(apart) < _SAME_PLANE_M
 
 
 def trace(
@@ -190,7 +136,7 @@ def trace(
     sun_samples: int = 1,
     elements: Int[Array, "chosen"] | None = None,
 ) -> Hits:
-    """Follow one ray an element (or n×n) from the lens to the scene, and on to the sun and the sky.
+    """Trace one ray (or n × n) of each element from the lens to the scene, and on to the sun and the sky.
 
     Parameters
     ----------
@@ -201,16 +147,16 @@ def trace(
     sun_direction
         Unit vector toward the sun, ENU. [1]
     roughness
-        GGX α of each material; those under `MIRROR_ROUGHNESS`, and all of vehicles, get a reflected ray. [1]
+        GGX α of each material; those under `MIRROR_ROUGHNESS`, and all of vehicles, get a mirrored ray. [1]
     surroundings
-        Material of the level ground beyond the scene's edge, seen by rays that miss everything.
+        Material of the level ground beyond the scene's edge.
     oversampling
         Rays along each side of an element.
     tracer
-        From `build_tracer`, kept over the frames; built here if none is given.
+        From `build_tracer`; built here by default.
     sun_samples
-        Points of the sun's disc toward which shadow rays go; by default its centre alone: shadows are sharp.
-        What a mirror shows is lit by the centre in any case.
+        Number of shadow rays, toward points of the sun's disc; by default its centre (sharp shadows).
+        Mirrored surfaces are always lit by the centre.
     elements
         Numbers of the elements to trace, row by row; the whole frame by default.
 
@@ -225,175 +171,131 @@ def trace(
         raise ValueError(f"`sun_samples` must be at least 1, got {sun_samples}")
     tracer = tracer or build_tracer(snapshot)
     sun = np.asarray(sun_direction, dtype=np.float32)
-    follow = _Follower(
-        Lit(tracer, snapshot, surroundings, sun), camera, pose, np.asarray(roughness), sun_samples
-    )
+    scene = SunlitScene(tracer, snapshot, surroundings, sun)
     count = camera.rows * camera.columns
     chosen = np.arange(count) if elements is None else np.unique(np.asarray(elements, np.int64))
-    with tracer.placed(snapshot):
+    is_smooth = np.asarray(roughness) < MIRROR_ROUGHNESS
+    with tracer.hold(snapshot):
         if _is_below_ground(tracer, snapshot, pose):
             raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
-        return _hits(follow, chosen, follow(chosen, oversampling), oversampling**2)
-
-
-def _hits(follow: "_Follower", chosen: Int[Array, "chosen"], seen: Samples, rays_each: int) -> Hits:
-    """Samples of some elements with what mirrors show, and the probes that light them."""
-    camera, pose = follow.camera, follow.pose
-    count = camera.rows * camera.columns
+        seen = _trace_elements(scene, camera, pose, chosen, oversampling, is_smooth, sun_samples)
+        mirrored, there = _mirror(scene, seen, pose.position)
+        around = light_around(scene, seen, there)
+        sun_there = scene.sunlight(there) * np.maximum(there.sun_cosine, 0)
     rays, samples = np.zeros(count, np.int16), np.zeros(count, np.int64)
-    rays[chosen], samples[chosen] = rays_each, seen.count
-    mirrored = _follow_mirrored(follow.scene, seen, pose.position)
-    around = light_around(follow.scene, seen, mirrored.there)
+    rays[chosen], samples[chosen] = oversampling**2, seen.count
+    total = len(seen.material)
+    cell, part, view, here = (values[:total] for values in around.found)
+    cell_there, part_there, view_there, here_there = (values[total:] for values in around.found)
+    sky_there = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * view_there, 0)
+
+    def spread(values: Array, elsewhere: float) -> Array:
+        """Values of mirrored surfaces at the samples that mirror them."""
+        out = np.full((total, *values.shape[1:]), elsewhere, values.dtype)
+        out[mirrored] = values
+        return out
+
     return Hits(
         rows=camera.rows,
         columns=camera.columns,
         detector_axis=rotation(pose)[0],
         rays=rays,
         first=np.concatenate([[0], np.cumsum(samples)]),
-        weight=seen.rays / np.float32(rays_each),
+        weight=seen.rays / np.float32(oversampling**2),
         look=frame_rays(camera, pose),
-        point=seen.point,
-        normal=seen.normal,
-        range_m=seen.range_m,
-        material=seen.material,
-        vehicle_id=seen.vehicle_id,
-        sun_visible=seen.sun_visible,
-        sky_view=around.sky_view,
-        sky_here=around.sky_here,
-        sky_left=around.sky_left,
-        light_cell=around.cell,
-        light_part=around.part,
-        mirror_material=mirrored.material,
-        mirror_sun=mirrored.sun,
-        **_spread_mirrored(mirrored, around),
+        **{name: getattr(seen, name) for name in Samples._fields if name in Hits._fields and name != "rays"},
+        sky_view=view * (around.sky_left[:total] / np.float32(255)),
+        sky_here=here,
+        sky_left=around.sky_left[:total],
+        light_cell=cell,
+        light_part=part,
+        mirror_material=spread(there.material, -1),
+        mirror_sun=spread(sun_there, 0),
+        mirror_sky=spread(sky_there.astype(np.float32), 0),
+        mirror_here=spread(here_there, 1),
+        mirror_left=spread(around.sky_left[total:], 255),
+        mirror_cell=spread(cell_there, OPEN),
+        mirror_part=spread(part_there, 0),
         **{name: getattr(around.table, name.removeprefix("probe_")) for name in PROBES},
     )
 
 
-@dataclass(frozen=True)
-class _Follower:
-    """Follows the rays of some elements to a scene and on to the sun."""
+def _trace_elements(
+    scene: SunlitScene, camera: Camera, pose: Pose, elements: Int[Array, "chosen"], n: int, is_smooth: Array,
+    sun_samples: int,
+) -> Samples:  # fmt: skip
+    """Trace n × n rays of each element to the scene and on to the sun.
 
-    scene: Lit
-    camera: Camera
-    pose: Pose
-    roughness: Array
-    sun_samples: int
+    Some elements at a time, each lot on one core, so that its arrays stay in the processor's cache.
+    """
+    start, lots = pose.position.astype(np.float32)[None], dict[int, Samples]()
 
-    def __call__(self, elements: Int[Array, "chosen"], n: int) -> Samples:
-        """Samples of n × n rays of each element, one element's after the other's.
+    def follow(first: int, last: int) -> None:
+        part = elements[first * _LOT : last * _LOT]
+        direction = element_rays(camera, pose, part, n)
+        with one_thread():
+            seen = scene.meet(pose.position[None], start, direction, coherent=True)
+            light = scene.sunlight(seen, sun_samples, coherent=True)
+            lots[first] = _merge_rays(len(part), direction, seen, light, is_smooth)
 
-        Some elements at a time, each lot on one core: what lies between the steps stays in the cache.
-        """
-        look = _looker(self.camera, self.pose)
-        start = self.pose.position.astype(np.float32)[None]
-        is_smooth = self.roughness < MIRROR_ROUGHNESS
-        lots: dict[int, Samples] = {}
-
-        def follow(first: int, last: int) -> None:
-            part = elements[first * _LOT : last * _LOT]
-            direction = np.empty((len(part) * n * n, 3), np.float32)
-            look(part, n, direction)
-            with one_thread():
-                seen = self.scene.meet(self.pose.position[None], start, direction, coherent=True)
-                light = self.scene.sunlight(seen, self.sun_samples, coherent=True)
-                lots[first] = merge_rays(len(part), n * n, direction, seen, light, is_smooth)
-
-        most = max(_RAYS_AT_A_TIME // (n * n * _LOT), 1)
-        over_rows(follow, -(-len(elements) // _LOT), most=most)
-        return concatenate_samples([lots[first] for first in sorted(lots)])
+    over_rows(follow, max(-(-len(elements) // _LOT), 1), most=max(_RAYS_AT_A_TIME // (n * n * _LOT), 1))
+    return Samples(*(np.concatenate(values) for values in zip(*(lots[k] for k in sorted(lots)), strict=True)))
 
 
 def _is_below_ground(tracer: SceneTracer, snapshot: Snapshot, pose: Pose) -> bool:
-    """Whether the lens looks up at the back of a surface and does not stand over the front of another.
+    """Return True if the lens is under the back of a surface and not over the front of another.
 
-    Over the scene's edge the ground is level at height 0. A lens under a bridge or a crown has a street below
-    it; one in a building sees its roof's back, and is refused unless the building has a floor.
+    Beyond the scene's edge the ground is level at height 0. A lens under a bridge or a crown has a street
+    below. One in a building is under its roof's back, and is refused unless the building has a floor.
     """
     vertical = np.array([[0, 0, 1], [0, 0, -1]], np.float32)
     origin = pose.position.astype(np.float32)[None]
     met = tracer.rays.intersect(origin, vertical)
-    rise = [tracer.faces.facing_up(int(p), int(s), snapshot) for p, s in zip(met.face, met.slot, strict=True)]
-    if (met.face == NO_HIT).all():
+    hit, faces = met.face != NO_HIT, tracer.faces
+    if not hit.any():
         return pose.up_m <= 0
-    return rise[0] > 0 and not rise[1] > 0
+    slot, rise = met.slot[hit].astype(int), np.zeros(2)
+    mesh = np.concatenate([[0], np.asarray(snapshot.model, int) + 1])[slot]
+    a, b, c = faces.vertices[faces.corners[faces.start[mesh] + met.face[hit]]].astype(float).swapaxes(0, 1)
+    upward = np.concatenate([np.eye(3, 4)[None], snapshot.transforms])[slot, 2, :3]
+    rise[hit] = (upward * np.cross(b - a, c - a)).sum(axis=1)
+    return bool(rise[0] > 0 and not rise[1] > 0)
 
 
-@dataclass(frozen=True)
-class _Mirrored:
-    """What mirror-reflected rays meet: which samples sent them, what is there, material and sun of all."""
+def _mirror(
+    scene: SunlitScene, seen: Samples, lens: Float[Array, "3"]
+) -> tuple[Int[Array, "mirrored"], SurfaceHits]:
+    """Trace the mirrored rays of smooth surfaces and of all of vehicles; return their samples and hits.
 
-    samples: Array
-    there: SurfaceHits
-    material: Array
-    sun: Array
-
-
-def _follow_mirrored(scene: Lit, seen: Samples, lens: Float[Array, "3"]) -> _Mirrored:
-    """Follow the mirror-reflected rays of smooth surfaces, and of all of vehicles."""
-    count, smooth = len(seen.material), np.flatnonzero(seen.mirror >= 0)
-    rough = _rough_of_vehicles(scene, seen)
-    samples = np.concatenate([smooth, rough])
-    material, sunlit = np.full(count, -1, np.int16), np.zeros(count, np.float32)
-    if not samples.size:
-        return _Mirrored(samples, SurfaceHits.empty(0), material, sunlit)
-    which, normal = seen.mirror[smooth], seen.normal[samples]
+    Rough surfaces of vehicles are low and mirror the vehicle's own shadow.
+    """
+    rough = np.flatnonzero((seen.instance >= 0) & ~seen.is_smooth)
+    if len(rough):
+        is_vehicle = scene.tracer.role[np.asarray(scene.snapshot.model)] == BY_SIDES
+        is_vehicle[scene.snapshot.fixed :] = True
+        rough = rough[is_vehicle[seen.instance[rough]]]
+    smooth = np.flatnonzero(seen.is_smooth)
     along = (seen.point[rough] - lens).astype(np.float32)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    along = np.concatenate([seen.smooth_direction[which], along])
+    along = np.concatenate([seen.direction[smooth], along])
     off = seen.point[rough] + np.float32(SHADOW_OFFSET_M) * seen.normal[rough]
-    lifted = np.concatenate([seen.smooth_lifted[which], off])
-    there = scene.meet(lifted, lifted, along - 2 * np.einsum("ij,ij->i", along, normal)[:, None] * normal)
-    material[samples] = there.material
-    sunlit[samples] = scene.sunlight(there) * np.maximum(there.sun_cosine, 0)
-    return _Mirrored(samples, there, material, sunlit)
-
-
-def _rough_of_vehicles(scene: Lit, seen: Samples) -> Int[Array, "rough"]:
-    """Samples on rough surfaces of vehicles: low down, they mirror the vehicle's own shadow."""
-    if not scene.snapshot.models:
-        return np.zeros(0, np.int64)
-    vehicle = scene.tracer.role[np.asarray(scene.snapshot.model)] == BY_SIDES
-    vehicle[scene.snapshot.fixed :] = True
-    on_models = np.flatnonzero((seen.instance >= 0) & (seen.mirror < 0))
-    return on_models[vehicle[seen.instance[on_models]]]
-
-
-def _spread_mirrored(mirrored: _Mirrored, around: LightAround) -> dict[str, Array]:
-    """Fields of `Hits` for all samples from what the look-up says of those that were mirrored."""
-    count, some, there, found = len(mirrored.material), mirrored.samples, mirrored.there, around.mirrored
-    sky, cell = np.zeros(count, np.float32), np.full(count, OPEN, np.int32)
-    part, left = np.zeros((count, 2), np.uint8), np.full(count, 255, np.uint8)
-    here = np.ones(count, np.float32)
-    sky[some] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * found.sky_view, 0)
-    cell[some], part[some] = found.cell, found.part
-    here[some], left[some] = found.sky_here, around.mirrored_left
-    fields = {"sky": sky, "here": here, "left": left, "cell": cell, "part": part}
-    return {f"mirror_{name}": values for name, values in fields.items()}
+    lifted, samples = np.concatenate([seen.lifted[smooth], off]), np.concatenate([smooth, rough])
+    normal = seen.normal[samples]
+    along = along - 2 * np.einsum("ij,ij->i", along, normal)[:, None] * normal
+    return samples, scene.meet(lifted, lifted, along)
 
 
 def frame_rays(camera: Camera, pose: Pose) -> Float[Array, "element 3"]:
-    """Direction of look of every element, row by row, as `camera.rays` has them."""
+    """Direction of look of every element, row by row, as from `camera.rays`. [1]"""
     return element_rays(camera, pose, np.arange(camera.rows * camera.columns), 1)
 
 
 def element_rays(camera: Camera, pose: Pose, elements: Int[Array, "chosen"], n: int) -> Float[Array, "ray 3"]:
-    """Directions of an even grid of n × n rays of some elements, one element's after the other's."""
-    out = np.empty((len(elements) * n * n, 3), np.float32)
-    _looker(camera, pose)(np.asarray(elements, np.int64), n, out)
+    """Directions of an even grid of n × n rays of some elements, one element's after the other's. [1]"""
+    out, (top, left) = np.empty((len(elements) * n * n, 3), np.float32), camera.principal_point
+    step, elements = camera.pitch_m / camera.focal_length_m, np.asarray(elements, np.int64)
+    _look(elements, n, camera.columns, top, left, step, rotation(pose), camera.bending, out)
     return out
-
-
-def _looker(camera: Camera, pose: Pose) -> Callable[[Array, int, Array], None]:
-    """What writes the directions of n × n rays of some elements."""
-    row, column = camera.principal_point
-    scale = camera.pitch_m / camera.focal_length_m
-    lens, axes = camera.bending, rotation(pose)
-
-    def look(elements: Array, n: int, out: Array) -> None:
-        _look(elements, n, camera.columns, row, column, scale, axes, lens, out)
-
-    return look
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")

@@ -1,4 +1,4 @@
-"""A scene made ready for rays, built once and kept over frames, and its sunlight at one time."""
+"""Acceleration structures of a scene, built once for all frames, and its sunlight at one time."""
 
 import importlib.util
 import math
@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -20,10 +20,19 @@ from glintrack.render.light.probes import SceneProbes
 from glintrack.render.light.sky import SUN_RADIUS_RAD
 from glintrack.render.rays.bvh import BvhTracer
 from glintrack.render.rays.embree import EmbreeTracer
-from glintrack.render.rays.surfaces import FaceTable, Past, SurfaceHits, Tracer, resolve
+from glintrack.render.rays.surfaces import (
+    NO_MODELS,
+    NO_TRANSFORMS,
+    FaceTable,
+    Past,
+    SurfaceHits,
+    Tracer,
+    box_corners,
+    resolve,
+)
 from glintrack.scene import Mesh, Snapshot
 
-_VEHICLE_M = (19.0, 4.0, 5.0)  # no vehicle is larger, in its own axes
+_VEHICLE_M = (19.0, 4.0, 5.0)  # largest vehicle, along its own axes
 _EDGE_M = 1e-2
 _STEEP = 0.9  # upward component of normals
 _REACH = 4.0  # heights of what rises, as far as its shade on the sky is followed
@@ -32,7 +41,7 @@ _RISES_M = 0.5  # over the ground at the scene's edge: what is lower shades noth
 
 @dataclass(frozen=True)
 class SceneTracer:
-    """A scene made ready for rays.
+    """Intersector, faces and probes of a scene.
 
     Parameters
     ----------
@@ -41,15 +50,15 @@ class SceneTracer:
     faces
         All meshes, in the intersector's order.
     probes
-        Light that what stands still gets from sky and surroundings.
+        Light of sky and surroundings on the fixed parts of the scene.
     sheets
         Materials of leaf cards: those with a gap fraction.
     role, boxes
-        How the instances of each model find their probes (`probes`), and its lower and upper corner. [m]
+        How the instances of each model find their probes (`lattice`), and its lower and upper corner. [m]
     fixed
-        How many instances stand still, `Snapshot.fixed`.
+        Number of instances that never move, `Snapshot.fixed`.
     busy
-        Held by the thread whose snapshot is placed.
+        Lock of the thread with the placed snapshot.
     """
 
     rays: Tracer
@@ -62,14 +71,8 @@ class SceneTracer:
     busy: threading.RLock = field(default_factory=threading.RLock, repr=False, compare=False)
 
     @contextmanager
-    def placed(self, snapshot: Snapshot) -> Iterator[None]:
-        """Move what moves to where it is in the snapshot, and let no other thread move it meanwhile."""
-        with self.busy:
-            self.place(snapshot)
-            yield
-
-    def place(self, snapshot: Snapshot) -> None:
-        """Move what moves to where it is in the snapshot.
+    def hold(self, snapshot: Snapshot) -> Iterator[None]:
+        """Place the moving instances of a snapshot and keep other threads from moving them.
 
         Raises
         ------
@@ -80,11 +83,13 @@ class SceneTracer:
             raise ValueError(
                 f"`snapshot.fixed` must be {self.fixed}, as when the tracer was built, got {snapshot.fixed}"
             )
-        self.rays.update(snapshot.transforms[self.fixed :], snapshot.model[self.fixed :])
+        with self.busy:
+            self.rays.update(snapshot.transforms[self.fixed :], snapshot.model[self.fixed :])
+            yield
 
 
 def intersector() -> type[EmbreeTracer] | type[BvhTracer]:
-    """Embree where its wheel is installed, else, with a warning, the several times slower tree in numba."""
+    """Return Embree where its wheel is installed, else, with a warning, the slower tree in numba."""
     if importlib.util.find_spec("embreex"):
         return EmbreeTracer
     warnings.warn(
@@ -101,40 +106,40 @@ def build_tracer(
     shares: Float[Array, "row class"] | None = None,
     window: tuple[float, float, float, float] | None = None,
 ) -> SceneTracer:
-    """Acceleration structure of a scene's static mesh, models and fixed instances, to be kept over frames.
+    """Build the acceleration structure of a scene's static mesh, models and fixed instances, for all frames.
 
     Parameters
     ----------
     snapshot
         The scene at any time.
     gap_fraction
-        Part of a face of each material that is holes (leaf cards); none by default. [1]
+        Gap fraction of each material (leaf cards); 0 by default. [1]
     shares
-        `gather.MaterialClasses.shares`; without them light from surfaces is the frame's mean.
+        `gather.MaterialClasses.shares`; by default light from surfaces is the frame's mean.
     window
-        West, south, east, north of where the lattice of probes is finest; everywhere by default. [m]
+        West, south, east, north of the finest lattice of probes; everywhere by default. [m]
 
     Raises
     ------
     ValueError
-        If there is nothing in the scene.
+        If the scene has no triangle.
     """
     if len(snapshot.static.faces) + sum(len(m.faces) for m in snapshot.models) == 0:
         raise ValueError("`snapshot` must hold at least one triangle, got an empty scene")
     fixed = slice(0, snapshot.fixed)
-    gapped = [_closed_first(*mesh_and_paints, gap_fraction) for mesh_and_paints in _meshes(snapshot)]
-    meshes, gaps = tuple(mesh for mesh, _ in gapped), tuple(gap for _, gap in gapped)
-    rays = intersector()(meshes[0], meshes[1:], snapshot.transforms[fixed], snapshot.model[fixed], gaps)
+    model, paint = snapshot.model[fixed], snapshot.paint[fixed]
+    painted = [(snapshot.static, paint[:0]), *((m, paint[model == k]) for k, m in enumerate(snapshot.models))]
+    sorted_meshes = [_sort_by_gap(mesh, paints, gap_fraction) for mesh, paints in painted]
+    meshes, gaps = tuple(mesh for mesh, _ in sorted_meshes), tuple(gap for _, gap in sorted_meshes)
     sheets = np.zeros(0, np.bool_) if gap_fraction is None else np.asarray(gap_fraction) > 0
     role, boxes = _roles(snapshot, sheets)
     box = standing_box(snapshot)
     west_south, east_north = (corner[:2] for corner in box)
     heights = partial(solid_heights, snapshot, sheets, window or (*west_south, *east_north))
-    probes = SceneProbes(box, window, shares, heights)
     return SceneTracer(
-        rays=rays,
+        rays=intersector()(meshes[0], meshes[1:], snapshot.transforms[fixed], model, gaps),
         faces=FaceTable.of(meshes),
-        probes=probes,
+        probes=SceneProbes(box, window, shares, heights),
         sheets=sheets,
         role=role,
         boxes=boxes,
@@ -143,7 +148,7 @@ def build_tracer(
 
 
 def _roles(snapshot: Snapshot, sheets: Array) -> tuple[Int[Array, "model"], Float[Array, "model 2 3"]]:
-    """What has leaf cards is lit in space, what is as small as a vehicle by its sides, all else by facets."""
+    """Role of each model (in space: with leaf cards; by its sides: as small as a vehicle) and its box."""
     models, model, paint = snapshot.models, np.asarray(snapshot.model), np.asarray(snapshot.paint)
     role, boxes = np.full(len(models), AS_FACETS, np.int8), np.zeros((len(models), 2, 3))
     leaves = np.flatnonzero(sheets)
@@ -160,7 +165,7 @@ def _roles(snapshot: Snapshot, sheets: Array) -> tuple[Int[Array, "model"], Floa
 
 
 def standing_box(snapshot: Snapshot) -> tuple[Array, Array]:
-    """Corners of the box beyond which nothing that stands shades the sky. [m]"""
+    """Corners of the box beyond which the fixed scene shades no sky. [m]"""
     vertices = np.asarray(snapshot.static.vertices, float).reshape(-1, 3)
     faces = np.asarray(snapshot.static.faces).reshape(-1, 3)
     level = vertices[faces, 2].min() if len(faces) else 0.0
@@ -170,10 +175,8 @@ def standing_box(snapshot: Snapshot) -> tuple[Array, Array]:
     for k, mesh in enumerate(snapshot.models):
         transforms = np.asarray(snapshot.transforms)[: snapshot.fixed][snapshot.model[: snapshot.fixed] == k]
         if len(transforms) and len(mesh.vertices):
-            ends = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-            box = np.stack(np.meshgrid(*np.stack(ends, axis=1), indexing="ij"), -1).reshape(-1, 3)
-            placed = np.einsum("kij,cj->kci", transforms[:, :, :3], box) + transforms[:, None, :, 3]
-            corners.append(placed.reshape(-1, 3))
+            box = box_corners(mesh.vertices) @ transforms[:, :, :3].swapaxes(1, 2)
+            corners.append((box + transforms[:, None, :, 3]).reshape(-1, 3))
     every = np.concatenate(corners)
     if len(every) == 0:
         return np.full(3, np.inf), np.full(3, -np.inf)
@@ -183,7 +186,7 @@ def standing_box(snapshot: Snapshot) -> tuple[Array, Array]:
 
 
 def _rises(vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"]) -> Bool[Array, "face"]:
-    """Which faces are steep or rise over the ground at the scene's edge."""
+    """Mask of the faces that are steep or rise over the ground at the scene's edge."""
     if len(faces) == 0:
         return np.zeros(0, np.bool_)
     x, y, z = (np.ascontiguousarray(axis)[faces] for axis in vertices.T)
@@ -198,17 +201,10 @@ def _rises(vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"]) -> B
     return steep | (~around & (z.max(axis=1) > level))
 
 
-def _meshes(snapshot: Snapshot) -> list[tuple[Mesh, Array]]:
-    """Each mesh, static first, with the paints of its fixed instances."""
-    model, paint = snapshot.model[: snapshot.fixed], snapshot.paint[: snapshot.fixed]
-    nothing = np.zeros(0, np.int16)
-    return [(snapshot.static, nothing), *((m, paint[model == k]) for k, m in enumerate(snapshot.models))]
+def _sort_by_gap(mesh: Mesh, paints: Array, gap_fraction: Array | None) -> tuple[Mesh, Float[Array, "face"]]:
+    """Sort faces without holes first, and return the gap of each face.
 
-
-def _closed_first(mesh: Mesh, paints: Array, gap_fraction: Array | None) -> tuple[Mesh, Float[Array, "face"]]:
-    """The mesh with its faces without holes first, and the gap of each face.
-
-    The instances of a model share its holes: painted faces get the mean gap of the paints they come in.
+    The instances of a model share its holes: painted faces get the mean gap of the instances' paints.
     """
     gap = np.zeros(len(mesh.faces), np.float32)
     if gap_fraction is None or len(mesh.faces) == 0:
@@ -221,12 +217,9 @@ def _closed_first(mesh: Mesh, paints: Array, gap_fraction: Array | None) -> tupl
     return Mesh(mesh.vertices, mesh.faces[order], mesh.material[order]), gap[order]
 
 
-_FEW = 0.5  # of surfaces that the sun may light: those alone are gathered into packets
-
-
 @dataclass(frozen=True)
-class Lit:
-    """A scene at one time under its sun, with its instances placed; rays go past all of it or a part."""
+class SunlitScene:
+    """A scene with its instances placed, under its sun; rays meet all of it or the fixed part."""
 
     tracer: SceneTracer
     snapshot: Snapshot
@@ -235,73 +228,62 @@ class Lit:
     past: Past = "all"
 
     def meet(self, origins: Array, starts: Array, directions: Array, coherent: bool = False) -> SurfaceHits:
-        """SurfaceHits that rays meet; ``starts`` are their origins in single precision."""
+        """Find the surfaces that rays meet; ``starts`` are their origins in single precision."""
         met = self.tracer.rays.intersect(starts, directions, coherent, self.past)
         known = self.tracer.faces, self.snapshot, self.surroundings, self.sun, self.tracer.sheets
         return resolve(origins, directions, met, *known)
 
     def sunlight(self, seen: SurfaceHits, samples: int = 1, coherent: bool = False) -> Float[Array, "ray"]:
-        """Part of the sun's light that arrives at each surface, by rays to points of its disc."""
-        wanted = seen.sun_cosine != 0
-        light = np.zeros(len(wanted), np.float32)
-        some, start = slice(None), seen.lifted
-        # packets that are full of rays are traced faster
-        if not coherent and np.count_nonzero(wanted) < _FEW * len(wanted):
-            some = np.flatnonzero(wanted)
-            wanted, start = wanted[some], start[some]
-        for direction in _sun_disc(self.sun.tobytes(), self.sun.dtype.str, samples):
+        """Transmittance of the sun's light to each surface, by rays to points of its disc. [1]"""
+        light = np.zeros(len(seen.sun_cosine), np.float32)
+        # full packets are traced faster
+        some = slice(None) if coherent else np.flatnonzero(seen.sun_cosine)
+        start, wanted = seen.lifted[some], seen.sun_cosine[some] != 0
+        for direction in _sun_disc(self.sun, samples):
             light[some] += self.tracer.rays.transmittance(start, direction[None], wanted, coherent, self.past)
         return light / np.float32(samples)
 
 
-@lru_cache(maxsize=8)  # asked for by every lot of rays
-def _sun_disc(toward: bytes, kind: str, samples: int) -> Float[Array, "sample 3"]:
-    """Directions toward points spread evenly over the sun's disc; its centre if there is one. [1]"""
-    sun = np.frombuffer(toward, kind)
+def _sun_disc(sun: Float[Array, "3"], samples: int) -> Float[Array, "sample 3"]:
+    """Directions toward points spread evenly over the sun's disc; its centre for a single one. [1]"""
     k = np.arange(samples)
     across = 0.0 if samples == 1 else np.tan(SUN_RADIUS_RAD) * np.sqrt((k + 0.5) / samples)
     turn = math.pi * (3 - math.sqrt(5)) * k  # the golden angle: a sunflower's seeds
     level = np.array([-sun[1], sun[0], 0.0]) if abs(sun[2]) < 0.9 else np.array([0.0, -sun[2], sun[1]])
     level /= np.linalg.norm(level)
-    offset = (across * np.cos(turn))[:, None] * level + (across * np.sin(turn))[:, None] * np.cross(
-        sun, level
-    )
-    directions = sun + offset
+    upright = np.cross(sun, level)
+    directions = sun + (across * np.cos(turn))[:, None] * level + (across * np.sin(turn))[:, None] * upright
     return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
 
 
 _ABOVE_M = 10.0
-_ROWS_AT_A_TIME = 256
 
 
 def surface_model(
-    tracer: SceneTracer,
-    snapshot: Snapshot,
-    area_m: tuple[float, float, float, float],
-    step_m: float,
+    tracer: SceneTracer, snapshot: Snapshot, area_m: tuple[float, float, float, float], step_m: float
 ) -> xr.Dataset:
-    """Surface model of all that stands still.
+    """Surface model of the fixed scene.
 
     Parameters
     ----------
     tracer
-        Of the scene; what moves is taken out of it until the next `SceneTracer.place`.
+        Tracer of the scene. Its moving instances are removed until the next `SceneTracer.hold`.
     snapshot
         The scene at any time.
     area_m
         West, south, east, north, ENU. [m]
     step_m
-        Between the rays, one a cell. [m]
+        Spacing of the rays, one a cell. [m]
 
     Returns
     -------
-    Schema ``terrain``, heights of what a ray from above meets first: of ground, roof, or leaf where none of a
-    crown's holes lets it through. 0 where there is nothing, as beyond the scene's edge. [m]
+    Schema ``terrain``: height of the first ground, roof or leaf that a ray from above meets. Rays pass
+    through the holes of crowns. 0 beyond the scene's edge. [m]
 
     Raises
     ------
     ValueError
-        If the area does not hold two cells a side.
+        If the area is less than two cells wide or high.
     """
     west, south, east, north = area_m
     columns, rows = int((east - west) / step_m), int((north - south) / step_m)
@@ -309,18 +291,14 @@ def surface_model(
         raise ValueError(f"`area_m` must hold two cells of {step_m:g} m a side at least, got {area_m}")
     x = west + step_m * (np.arange(columns) + 0.5)
     y = north - step_m * (np.arange(rows) + 0.5)
+    height, down = np.empty((rows, columns)), np.tile(np.float32([0, 0, -1]), (columns, 1))
+    top = float(standing_box(snapshot)[1][2]) + _ABOVE_M
     with tracer.busy:
-        tracer.rays.update(snapshot.transforms[:0], snapshot.model[:0])
-        top = float(standing_box(snapshot)[1][2]) + _ABOVE_M
-        height = np.empty((rows, columns))
-        for start in range(0, rows, _ROWS_AT_A_TIME):
-            block = y[start : start + _ROWS_AT_A_TIME]
-            origins = np.empty((len(block), columns, 3), np.float32)
-            origins[..., 0], origins[..., 1], origins[..., 2] = x[None], block[:, None], top
-            down = np.zeros((origins[..., 0].size, 3), np.float32)
-            down[:, 2] = -1
-            reach = tracer.rays.intersect(origins.reshape(-1, 3), down).range_m.reshape(origins.shape[:2])
-            height[start : start + len(block)] = np.where(np.isfinite(reach), top - reach, 0.0)
+        tracer.rays.update(NO_TRANSFORMS, NO_MODELS)
+        for row, y_m in enumerate(y):
+            origins = np.stack([x, np.full(columns, y_m), np.full(columns, top)], axis=1).astype(np.float32)
+            reach = tracer.rays.intersect(origins, down).range_m
+            height[row] = np.where(np.isfinite(reach), top - reach, 0.0)
     metres = {"units": "m"}
     return xr.Dataset(
         {"height": (("y", "x"), height, metres)}, coords={"y": ("y", y, metres), "x": ("x", x, metres)}

@@ -1,9 +1,8 @@
-"""Vehicles in a frame: outlines, whose each element is, how much of each is visible, what they may change.
+"""Vehicles in a frame: outlines, mask, visible fraction, and the elements that they may change.
 
-A perspective image of a convex hull is the hull of its corners' images, so that the box about the images of
-a vehicle's vertices is the box of its outline, as tall as the vehicle leans in the picture. The visible
-part is found by a fixed fan of rays to each vehicle, so that it does not depend on how the image is
-sampled.
+A perspective image of a convex hull is the hull of its corners' images. The box about the images of a
+vehicle's vertices is therefore the box of its outline, with its layover. The visible fraction is found by a
+fixed fan of rays to each vehicle, so that it does not depend on the sampling of the image.
 """
 
 from typing import NamedTuple
@@ -14,22 +13,22 @@ from scipy.spatial import ConvexHull, QhullError
 
 from glintrack.camera import Camera, Pose, project, rays
 from glintrack.core.arrays import Array
-from glintrack.render.rays.surfaces import Tracer
+from glintrack.render.rays.surfaces import Tracer, box_corners
 from glintrack.render.tracer import SceneTracer, intersector
 from glintrack.scene import VEHICLE_CLASSES, Mesh, Snapshot
 
-PARKED_ID = 1_000_000  # parked vehicles count from here, in the order of the snapshot's instances
+PARKED_ID = 1_000_000  # first id of parked vehicles, in the order of the snapshot's instances
 
 
 class Outlines(NamedTuple):
-    """Images of the vertices of vehicles that the frame holds a part of; those of one after the other's.
+    """Images of the vertices of the vehicles that lie at least partly in a frame.
 
     Parameters
     ----------
     instance, vehicle_id
-        Of each vehicle: which of the snapshot's instances it is, and its id (parked ones from `PARKED_ID`).
+        Index of the snapshot's instance of each vehicle, and its id (parked ones from `PARKED_ID`).
     first
-        Where the vertices of each begin, and the last one's end.
+        First vertex of each vehicle, and the end of the last one's.
     pixel
         (row, column) of the vertices, also beyond the frame. [element]
     box
@@ -44,7 +43,7 @@ class Outlines(NamedTuple):
 
 
 def vehicle_ids(snapshot: Snapshot) -> Int[Array, "instance"]:
-    """Id of each instance: the truth's of what drives, from `PARKED_ID` of what is parked, −1 of the rest."""
+    """Id of each instance: the truth's of moving vehicles, from `PARKED_ID` of parked ones, −1 of others."""
     ids = np.array(snapshot.vehicle_id, np.int64)
     parked = np.flatnonzero(np.asarray(snapshot.model)[: snapshot.fixed] < len(VEHICLE_CLASSES))
     ids[parked] = PARKED_ID + np.arange(len(parked))
@@ -52,12 +51,12 @@ def vehicle_ids(snapshot: Snapshot) -> Int[Array, "instance"]:
 
 
 def outlines(snapshot: Snapshot, camera: Camera, pose: Pose) -> Outlines:
-    """Where a frame images each vehicle, parked ones too, hidden or not.
+    """Project each vehicle to the frame, also parked and hidden ones.
 
     Parameters
     ----------
     snapshot, camera, pose
-        What is looked at, with which camera, from which true pose.
+        The scene, the frame camera, and its true pose.
     """
     ids = vehicle_ids(snapshot)
     model, transforms = np.asarray(snapshot.model), np.asarray(snapshot.transforms, float)
@@ -69,7 +68,7 @@ def outlines(snapshot: Snapshot, camera: Camera, pose: Pose) -> Outlines:
         placed = np.einsum("nij,vj->nvi", transforms[instances, :, :3], vertices)
         pixel = project(camera, pose, placed + transforms[instances, None, :, 3])
         for instance, corners in zip(instances.tolist(), pixel, strict=True):
-            if np.isfinite(corners).all():  # not beside or behind the lens
+            if np.isfinite(corners).all():  # in front of the lens
                 low, high = corners.min(axis=0)[::-1], corners.max(axis=0)[::-1]
                 if (high > -0.5).all() and (low < edge).all():
                     box = np.concatenate([np.maximum(low, -0.5), np.minimum(high, edge)])
@@ -93,9 +92,9 @@ def vehicle_mask(
     Parameters
     ----------
     snapshot, camera, pose
-        As for `outlines`.
+        The scene, the frame camera, and its true pose.
     tracer
-        Of the whole scene, from `build_tracer`.
+        Tracer of the whole scene, from `build_tracer`.
     seen
         From `outlines`.
     """
@@ -107,20 +106,20 @@ def vehicle_mask(
     if not len(row):
         return out
     direction = rays(camera, pose, np.stack([row, column], axis=1)).astype(np.float32)
-    with tracer.placed(snapshot):
+    with tracer.hold(snapshot):
         slots = tracer.rays.intersect(pose.position.astype(np.float32)[None], direction).slot
     ids = np.concatenate([[-1], vehicle_ids(snapshot)])
-    met = np.where(slots < len(ids), slots, 0).astype(np.int64)  # slot 0 is what stands, no slot is sky
+    met = np.where(slots < len(ids), slots, 0).astype(np.int64)  # slot 0 is the static mesh, no slot is sky
     out[row, column] = ids[met]
     return out
 
 
 FAN_SIDE = 16  # 256 rays to a vehicle
-_APART_M = 200.0  # between vehicles that stand alone: farther than the longest reaches
+_APART_M = 200.0  # between isolated vehicles: more than the longest one
 
 
 def build_vehicle_tracer(snapshot: Snapshot) -> Tracer:
-    """Acceleration structure of the vehicles alone, for `visible_fraction`."""
+    """Build the acceleration structure of the vehicles alone, for `visible_fraction`."""
     nothing = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.int16))
     return intersector()(nothing, snapshot.models)
 
@@ -133,56 +132,62 @@ def visible_fraction(
     vehicle_tracer: Tracer,
     instances: Int[Array, "vehicle"] | None = None,
 ) -> Float[Array, "vehicle"]:
-    """Rays of a fan that reach each vehicle within the frame over those that would if it stood alone.
+    """Rays of a fan that reach each vehicle within the frame over those that reach it in isolation.
 
-    A fan has 16 × 16 rays, at the middles of equal cells of the rectangle that its bounding box fills as seen
-    from the lens, along and across the vehicle. Those that meet the vehicle standing alone are counted, in
-    frame or not; a ray counts as seen if it lies in the frame and meets this vehicle first.
+    A fan has 16 × 16 rays, at the middles of equal cells of the rectangle around the vehicle's bounding box
+    as seen from the lens, along and across the vehicle. The rays that meet the isolated vehicle are counted,
+    inside the frame or not. A ray counts as visible if it lies in the frame and meets this vehicle first.
 
     Parameters
     ----------
     snapshot, camera, pose
-        What is looked at, with which camera, from which true pose.
+        The scene, the frame camera, and its true pose.
     tracer
-        Of the whole scene, from `build_tracer`.
+        Tracer of the whole scene, from `build_tracer`.
     vehicle_tracer
         From `build_vehicle_tracer`.
     instances
-        Which vehicles of the snapshot; by default those that drive,
-        ``snapshot.vehicle_id[snapshot.fixed :]``.
+        Vehicles of the snapshot; by default the moving ones, ``snapshot.vehicle_id[snapshot.fixed :]``.
 
     Returns
     -------
     In their order, 0 to 1; 0 for a vehicle outside the frame. [1]
     """
     chosen = np.arange(snapshot.fixed, len(snapshot.model)) if instances is None else np.asarray(instances)
+    seen = np.zeros(len(chosen))
+    if len(chosen) == 0:
+        return seen
+    boxes = np.stack([box_corners(mesh.vertices) for mesh in snapshot.models])[snapshot.model[chosen]]
     transforms = np.asarray(snapshot.transforms, float)[chosen]
-    count = len(transforms)
-    if count == 0:
-        return np.zeros(0)
-    model = np.asarray(snapshot.model)[chosen]
-    centre, corners = _bounds(snapshot, transforms, model)
-    near = np.flatnonzero(_may_be_in_frame(camera, pose, corners))  # the others take memory for nothing
-    seen = np.zeros(count)
+    corners = np.einsum("vij,vcj->vci", transforms[:, :, :3], boxes) + transforms[:, None, :, 3]
+    near = np.flatnonzero(_may_be_in_frame(camera, pose, corners))
     if len(near) == 0:
         return seen
-    places = _places(count)[near]
-    chosen, transforms, model, centre, corners = (
-        x[near] for x in (chosen, transforms, model, centre, corners)
-    )
+    number, side = near, int(np.ceil(np.sqrt(len(chosen))))
+    chosen, transforms, corners = chosen[near], transforms[near], corners[near]
+    centre = corners.mean(axis=1)
     direction = _fans(centre, corners, transforms[:, :, 0], pose.position)
-    with tracer.busy:  # which the bare one has no lock of its own for
-        alone = _meets_alone(
-            vehicle_tracer, (transforms, model), places, centre, corners, direction, pose.position
-        )
+    # in isolation all stand far apart, and rays start close by
+    shift = -centre.copy()
+    shift[:, :2] += _APART_M * np.stack([number % side, number // side], axis=1)
+    apart = transforms.copy()
+    apart[:, :, 3] += shift
     range_m = np.linalg.norm(centre - pose.position, axis=1)
+    radius = np.linalg.norm(corners - centre[:, None], axis=-1).max(axis=1)
+    before = np.maximum(range_m - 2 * radius, 0.0)
+    origin = (pose.position + shift)[:, None] + before[:, None, None] * direction
+    starts, directions = (x.reshape(-1, 3).astype(np.float32) for x in (origin, direction))
+    with tracer.busy:  # the tracer of the vehicles has no lock of its own
+        vehicle_tracer.update(apart, snapshot.model[chosen])
+        slots = vehicle_tracer.intersect(starts, directions, True).slot
+    alone = slots.reshape(direction.shape[:2]) == np.arange(1, len(chosen) + 1, dtype=np.uint32)[:, None]
     pixel = project(camera, pose, pose.position + range_m[:, None, None] * direction)
     with np.errstate(invalid="ignore"):
         in_frame = (pixel >= -0.5).all(axis=-1)
         in_frame &= (pixel[..., 0] <= camera.rows - 0.5) & (pixel[..., 1] <= camera.columns - 0.5)
     vehicle, ray = np.nonzero(alone & in_frame)
     origin = pose.position.astype(np.float32)[None]
-    with tracer.placed(snapshot):
+    with tracer.hold(snapshot):
         slots = tracer.rays.intersect(origin, direction[vehicle, ray].astype(np.float32), True).slot
     met = slots == (chosen[vehicle] + 1).astype(np.uint32)
     seen[near] = np.bincount(vehicle, weights=met, minlength=len(near)) / np.maximum(alone.sum(axis=1), 1)
@@ -190,34 +195,15 @@ def visible_fraction(
 
 
 def _may_be_in_frame(camera: Camera, pose: Pose, corners: Array) -> Bool[Array, "vehicle"]:
-    """Whose bounding box, with as much again to each side, reaches into the frame."""
+    """Mask of the bounding boxes that reach into the frame, with a margin of their own size."""
     pixel = project(camera, pose, corners)
     low, high = np.fmin.reduce(pixel, axis=1), np.fmax.reduce(pixel, axis=1)
     reach = high - low + 1.0
     return ((high + reach >= 0) & (low - reach <= [camera.rows, camera.columns])).all(axis=1)
 
 
-def _places(count: int) -> Float[Array, "vehicle 2"]:
-    """Where vehicles stand, each alone. [m]"""
-    side = int(np.ceil(np.sqrt(count)))
-    number = np.arange(count)
-    return _APART_M * np.stack([number % side, number // side], axis=1)
-
-
-def _bounds(snapshot: Snapshot, transforms: Array, model: Array) -> tuple[Array, Array]:
-    """Centre and corners of each vehicle's bounding box, in ENU. [m]"""
-    boxes = np.array(
-        [
-            np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), -1).reshape(-1, 3)
-            for low, high in ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in snapshot.models)
-        ]
-    )[model]
-    corners = np.einsum("vij,vcj->vci", transforms[:, :, :3], boxes) + transforms[:, None, :, 3]
-    return corners.mean(axis=1), corners
-
-
 def _fans(centre: Array, corners: Array, forward: Array, eye: Array) -> Float[Array, "vehicle ray 3"]:
-    """Unit directions from the lens through the cells of each vehicle's rectangle. [1]"""
+    """Directions from the lens through the cells of each vehicle's rectangle. [1]"""
     ahead = _unit(centre - eye)
     along = forward - np.einsum("vi,vi->v", forward, ahead)[:, None] * ahead
     end_on = np.linalg.norm(along, axis=1) < 1e-3 * np.linalg.norm(forward, axis=1)
@@ -239,31 +225,6 @@ def _fans(centre: Array, corners: Array, forward: Array, eye: Array) -> Float[Ar
     return _unit(fan.reshape(len(centre), -1, 3))
 
 
-def _meets_alone(
-    vehicle_tracer: Tracer,
-    placed: tuple[Array, Array],
-    places: Array,
-    centre: Array,
-    corners: Array,
-    direction: Array,
-    eye: Array,
-) -> Array:
-    """Which rays of each fan meet the vehicle standing alone: all stand far apart, rays start close by."""
-    transforms, model = placed
-    count, rays = direction.shape[:2]
-    shift = -centre.copy()
-    shift[:, :2] += places
-    apart = transforms.copy()
-    apart[:, :, 3] += shift
-    vehicle_tracer.update(apart, model)
-    radius = np.linalg.norm(corners - centre[:, None], axis=-1).max(axis=1)
-    before = np.maximum(np.linalg.norm(centre - eye, axis=1) - 2 * radius, 0.0)
-    origin = (eye + shift)[:, None] + before[:, None, None] * direction
-    starts, directions = (x.reshape(-1, 3).astype(np.float32) for x in (origin, direction))
-    slots = vehicle_tracer.intersect(starts, directions, True).slot
-    return slots.reshape(count, rays) == np.arange(1, count + 1, dtype=np.uint32)[:, None]
-
-
 def _unit(vectors: Array) -> Array:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
@@ -275,27 +236,27 @@ _LONGEST_M = 1000.0  # of a shadow
 def elements_near_traffic(
     snapshot: Snapshot, camera: Camera, pose: Pose, sun: Float[Array, "3"], lowest_m: float
 ) -> Bool[Array, "element"]:
-    """Elements that may see a moving vehicle or its shadow.
+    """Mask of the elements that may see a moving vehicle or its shadow.
 
     Parameters
     ----------
     snapshot, camera, pose
-        What is looked at, through what, from where.
+        The scene, the frame camera, and its true pose.
     sun
         Unit vector toward the sun. [1]
     lowest_m
-        Of the ground. [m]
+        Lowest height of the ground. [m]
     """
     out = np.zeros((camera.rows, camera.columns), np.bool_)
     models, of_vehicle = np.unique(snapshot.model[snapshot.fixed :], return_inverse=True)
     if not len(models):
         return out.ravel()
-    boxes = np.stack([_corners(snapshot.models[model].vertices) for model in models])[of_vehicle]
+    boxes = np.stack([box_corners(snapshot.models[model].vertices) for model in models])[of_vehicle]
     turn, place = np.split(snapshot.transforms[snapshot.fixed :], [3], axis=2)
     corners = boxes @ turn.swapaxes(1, 2) + place.swapaxes(1, 2)
     fall = np.minimum((corners[..., 2:] - lowest_m) / max(float(sun[2]), 1e-3), _LONGEST_M)
     pixels = project(camera, pose, np.concatenate([corners, corners - fall * sun], axis=1))
-    if not np.isfinite(pixels).all():  # beside or behind the lens
+    if not np.isfinite(pixels).all():  # not in front of the lens
         return np.ones(out.size, np.bool_)
     lows = np.maximum(np.floor(pixels.min(axis=1) - _MARGIN_ELEMENTS), 0).astype(int)
     highs = np.ceil(pixels.max(axis=1) + _MARGIN_ELEMENTS).astype(int) + 1
@@ -306,13 +267,8 @@ def elements_near_traffic(
     return out.ravel()
 
 
-def _corners(vertices: Array) -> Float[Array, "8 3"]:
-    ends = np.stack([vertices.min(axis=0), vertices.max(axis=0)], axis=1)
-    return np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 3).astype(float)
-
-
 def _inside(points: Float[Array, "point 2"], low: Array, shape: tuple[int, int]) -> Bool[Array, "y x"]:
-    """Which elements of a box lie within the points' convex hull or a margin of it."""
+    """Mask of a box's elements within the points' convex hull and a margin."""
     try:
         sides = ConvexHull(points).equations
     except QhullError:  # seen along a line

@@ -129,8 +129,8 @@ def entry_size_bytes(elements: int, rays: float) -> float:
 
 def pack(traced: TracedFrame) -> bytes:
     """Serialize a frame's hits without loss, without directions, which follow from camera and pose."""
-    arrays = {f.name: getattr(traced.hits, f.name) for f in fields(traced.hits) if f.name != "look"}
-    arrays = {name: value for name, value in arrays.items() if isinstance(value, np.ndarray)}
+    hits = traced.hits._asdict().items()
+    arrays = {name: value for name, value in hits if name != "look" and isinstance(value, np.ndarray)}
     distortion = traced.camera.distortion
     head = {
         "camera": asdict(traced.camera) | {"distortion": distortion and distortion.model_dump()},

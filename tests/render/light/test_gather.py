@@ -15,6 +15,7 @@ from glintrack.render.light.gather import (
     EVERY,
     SECOND,
     TWICE_BY_SUN,
+    Met,
     material_classes,
     rays_onward,
 )
@@ -37,9 +38,9 @@ def rays(probes=400, each=30, normal=(0.0, 0.0, 1.0), translucent=False):
     centre = np.stack(
         [2.0 * (np.arange(probes) % 20), 2.0 * (np.arange(probes) // 20), np.zeros(probes)], axis=1
     )
-    return rays_onward(
-        first, centre, sets, np.zeros(count, np.int16), points, normals, np.array([translucent])
-    )
+    ones = np.ones(count, np.float32)
+    met = Met(np.zeros(count, np.int16), ones, points, normals, ones)
+    return rays_onward(first, centre, sets, met, np.array([translucent]))
 
 
 @pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.48, -0.6, -0.64)])

@@ -10,7 +10,7 @@ from glintrack.render.light.heights import (
     CELL_M,
     UNKNOWN,
     VIEW_UNIT,
-    hidden_by_leaves,
+    find_leaf_occlusion,
     solid_heights,
     view_of_solids,
 )
@@ -89,7 +89,7 @@ def test_cards_are_no_solids_and_rays_go_past_them():
     assert views(free, [(0, 0, 0)])[0] == pytest.approx(1, abs=1e-6)
     point = np.tile(np.array([[0, 0, 2]], np.float32), (3, 1))
     direction = np.array([[0.8, 0, 0.6], [-0.8, 0, 0.6], [-0.8, 0, 0.6]], np.float32)
-    hidden = hidden_by_leaves(heights, np.array([2, 2, 0], np.int16), point, direction)
+    hidden = find_leaf_occlusion(heights, np.array([2, 2, 0], np.int16), point, direction)
     np.testing.assert_array_equal(hidden, [False, True, False])
 
 
@@ -126,7 +126,7 @@ def test_rays_skip_blocks_and_stop_where_a_cell_at_a_time_would():
     direction = draw.normal(size=(count, 3))
     direction[:, 2] = abs(direction[:, 2]) * 0.5 + 0.01
     direction = (direction / np.linalg.norm(direction, axis=1)[:, None]).astype(np.float32)
-    found = hidden_by_leaves(heights, np.full(count, 2, np.int16), point, direction)
+    found = find_leaf_occlusion(heights, np.full(count, 2, np.int16), point, direction)
     along = heights.cell_m / np.linalg.norm(direction[:, :2], axis=1)
     place = point[:, None] + np.arange(1, 900)[:, None] * (along[:, None] * direction)[:, None]
     column, row = ((place[..., k] - heights.corner[k]) / heights.cell_m for k in (0, 1))

@@ -41,7 +41,7 @@ def test_sky_view_of_random_points(frame, kind):
         light = tracer.rays.transmittance(np.ascontiguousarray(start), directions, cosine > 0)
         expected[k] = (cosine * light).sum() / cosine.sum()
     error = hits.sky_view[chosen] - expected
-    assert tracer.probes.step_m == 2.0
+    assert tracer.probes.scale == 1.0
     assert expected.min() < 0.7  # some see little of it
     assert abs(error.mean()) < 0.01 and np.sqrt((error**2).mean()) < 0.04
     assert (abs(error) < 0.05).mean() > 0.93 and (abs(error) < 0.1).mean() > 0.98

@@ -40,7 +40,7 @@ def both(city):
     if type(made[0].rays) is BvhTracer:
         pytest.skip("needs embreex to compare with")
     for tracer in made:
-        tracer.place(now)
+        tracer.rays.update(now.transforms[now.fixed :], now.model[now.fixed :])
     return made
 
 
@@ -86,7 +86,7 @@ def test_a_box_turned_scaled_and_moved():
     turned = np.array([[0, -3, 0, 40], [3, 0, 0, -7], [0, 0, 3, 5.0]])
     scene = snapshot(plane(), [box(2, 2, 2)], [turned], [0])
     tracer = numba_tracer(scene)
-    tracer.place(scene)
+    tracer.rays.update(scene.transforms[scene.fixed :], scene.model[scene.fixed :])
     origins = np.array([[40, -7, 100], [43.1, -7, 100], [40, -7, 1], [40, -7, 4.9]], np.float32)
     down, up = np.array([[0, 0, -1.0]], np.float32), np.array([[0, 0, 1.0]], np.float32)
     every = np.ones(4, np.bool_)
@@ -106,7 +106,7 @@ def test_many_boxes_each_ray_meets_its_own():
     transforms[:, :, :3], transforms[:, :2, 3] = np.eye(3), lattice
     scene = snapshot(plane(10), [box(4, 4, 3)], transforms, np.zeros(400, int))
     tracer = numba_tracer(scene)
-    tracer.place(scene)
+    tracer.rays.update(scene.transforms[scene.fixed :], scene.model[scene.fixed :])
     origins = np.c_[lattice + [0.3, 0.7], np.full(400, 50.0)].astype(np.float32)
     down = np.repeat(np.array([[0, 0, -1.0]], np.float32), 400, axis=0)
     ranges, _, slots, _ = tracer.rays.intersect(origins, down)

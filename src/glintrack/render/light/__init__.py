@@ -1,1 +1,1 @@
-"""Light: sky and air, and probes of what stands around, which light every surface."""
+"""Light of sky and surroundings: sky, probes, and the surfaces that they light."""

@@ -1,24 +1,24 @@
-"""Light that surfaces get from what stands around them, kept without a wavelength.
+"""Light that surfaces get from the surfaces around them, without a wavelength.
 
-Spectra of reflectance and transmittance are written as sums of six (`material_classes`); a surface keeps
-how much of each it gets, by the light that fell there:
+Spectra of reflectance and transmittance are written as sums of six (`material_classes`). A probe holds the
+amount of each that it gets, by the light that fell there:
 
     E(λ) = Σ_c b_c [S_c E_s + D_c E_d] + (Σ_cj b_c b_j T_cj E_s + Σ_c b_c R_c r E_d)/(1 − q r) + F … + K …
 
-S holds what the sun lights (a leaf from behind too) and D what the sky lights. Light of the sky about the
-sun comes to surfaces with the sun's: E_s is E_sun and that, E_d the rest of the sky (`projection`; Hay and
-Davies, "Calculation of the solar radiation incident on an inclined surface", First Canadian Solar Radiation
-Data Workshop, 1980). T holds sunlight that came over two surfaces, found by rays that go on from where some
-of the first end (`gather`); of the other's spectrum the first two components are kept. R is skylight
-that did so, off surfaces of the frame's mean reflectance r. Light that went on longer is a geometric series
-of r, of which q meets surfaces again. Between leaves it is one of ω, what a leaf scatters to either side,
-of which p meets leaves again: F holds what that is more, ½ω² [1/(1 − pω) − 1/(1 − q r)] E_s, and K the same
-of the sky's light, ω p [ω/(1 − pω) − r/(1 − q r)] E_d. A crown of leaf area index L has p = 0.88 (1 −
-exp(−0.7 L^0.75)) (Smolander and Stenberg, Remote Sensing of Environment 94, 2005).
+S holds sunlit surfaces (a leaf also from behind) and D those lit by the sky. Light of the sky about the sun
+comes with the sun's: E_s is E_sun and that light, E_d the rest of the sky (`projection`; Hay and Davies,
+"Calculation of the solar radiation incident on an inclined surface", First Canadian Solar Radiation Data
+Workshop, 1980). T holds sunlight over two surfaces, found by rays onward from the ends of some rays; of the
+second spectrum the first two components are used. R is skylight over two surfaces, of the frame's mean
+reflectance r. Light over more surfaces is a geometric series of r, of which q meets surfaces again. Between
+leaves it is one of ω, the part that a leaf scatters to either side, of which p meets leaves again: F holds
+the difference, ½ω² [1/(1 − pω) − 1/(1 − q r)] E_s, and K that of the sky's light, ω p [ω/(1 − pω) − r/(1 −
+q r)] E_d. A crown of leaf area index L has p = 0.88 (1 − exp(−0.7 L^0.75)) (Smolander and Stenberg, Remote
+Sensing of Environment 94, 2005).
 
-Of the rays that are blocked every third goes on, in a direction spread by the cosine about the normal where
-it ended; of a leaf from the front and from the back in turn. The direction depends on how many of the
-probe's went on before, and on its place: neighbours have others, and share what they find.
+Of the blocked rays every third goes on, in a direction spread by the cosine about the normal where it ended,
+of a leaf from the front and from the back in turn. The direction depends on the number of the probe's rays
+onward before it, and on its place: neighbours have others and share their light.
 """
 
 import math
@@ -42,16 +42,16 @@ _THIRD = 0.3247179572447460  # 1 − 1/x³: of a place's third coordinate
 
 
 class Onward(NamedTuple):
-    """Rays that go on.
+    """Rays onward from the ends of others.
 
     Parameters
     ----------
     of
         Number of the ray onward from each ray's end; −1 for none.
     behind
-        Whether it left a leaf's other side.
+        True for a ray from a leaf's other side.
     start, direction
-        Where it starts [m], and its unit vector [1].
+        Origin [m], and unit vector [1].
     """
 
     of: Int[Array, "ray"]
@@ -60,45 +60,49 @@ class Onward(NamedTuple):
     direction: Float[Array, "onward 3"]
 
 
+class Met(NamedTuple):
+    """Surfaces that the rays of some probes meet.
+
+    Parameters
+    ----------
+    material
+        Material; −1 for sky.
+    sun
+        Cosine of the sun's incidence times the transmittance of its light; below 0 from behind. [1]
+    point, normal
+        Place [m], and the facet's normal [1].
+    range_m
+        Length of the ray. [m]
+    """
+
+    material: Int[Array, "ray"]
+    sun: Float[Array, "ray"]
+    point: Float[Array, "ray 3"]
+    normal: Float[Array, "ray 3"]
+    range_m: Float[Array, "ray"]
+
+
 def rays_onward(
     first: Int[Array, "probe+1"],
     centre: Float[Array, "probe 3"],
     sets: Int[Array, "probe"],
-    material: Int[Array, "ray"],
-    point: Float[Array, "ray 3"],
-    normal: Float[Array, "ray 3"],
+    met: Met,
     translucent: Bool[Array, "material"],
 ) -> Onward:
-    """Rays that go on from where those of some probes end.
+    """Choose the rays onward from the ends of the rays of some probes.
 
-    Parameters
-    ----------
-    first, centre, sets
-        First ray of each probe, and one more; where each stands [m], and which set of directions it has.
-    material, point, normal
-        Of where each ends; material −1 for sky.
-    translucent
-        Which materials let light through.
+    ``first`` is the first ray of each probe, and one more; ``centre`` its place [m], ``sets`` the number of
+    its set of directions. The rays ``met`` surfaces; some materials are ``translucent``.
     """
-    of = np.full(len(material), -1, np.int32)
-    count = _number(first, sets, material, of)
-    rays = Onward(of, np.empty(count, np.bool_), *(np.empty((count, 3), np.float32) for _ in range(2)))
-    _aim(first, centre, sets, material, point, normal, translucent, rays)
+    count, blocked = np.diff(first), met.material >= 0
+    before = np.cumsum(blocked) - blocked  # blocked rays before each, of all probes
+    turn = before - np.repeat(np.append(before, 0)[first[:-1]] - sets, count)
+    goes_on = blocked & (turn % EVERY == 0)
+    of = np.where(goes_on, np.cumsum(goes_on) - 1, -1).astype(np.int32)
+    total = int(goes_on.sum())
+    rays = Onward(of, np.empty(total, np.bool_), *(np.empty((total, 3), np.float32) for _ in range(2)))
+    _aim(first, centre, sets, met.material, met.point, met.normal, translucent, rays)
     return rays
-
-
-@nb.njit(nogil=True, cache=True)
-def _number(first, sets, material, of):
-    count = 0
-    for p in range(len(sets)):
-        blocked = sets[p]
-        for ray in range(first[p], first[p + 1]):
-            if material[ray] >= 0:
-                if blocked % EVERY == 0:
-                    of[ray] = count
-                    count += 1
-                blocked += 1
-    return count
 
 
 @nb.njit(nogil=True, cache=True)
@@ -136,28 +140,28 @@ BY_SUN, BY_SKY, TWICE_BY_SKY, TWICE_BY_SUN = (CLASSES * k for k in range(4))
 AMONG_LEAVES = TWICE_BY_SUN + CLASSES * SECOND
 AMONG_LEAVES_BY_SKY = AMONG_LEAVES + 1
 BOUNCES = AMONG_LEAVES_BY_SKY + 1
-MET_AGAIN = 0.7  # p, that of a leaf area index of 3: crowns stand alone, and let light out at their sides
-ENCLOSED = 0.9  # q: of what surfaces that are lit by others send on meets others again
-COVERED_M = 1.8  # a level probe with something overhead nearer than this stands under a car or a bench
-_TOP_PATCHES = 3  # the last so many of the sky are those about the zenith
-_SUN_K = 5772.0  # effective temperature: spectra count as the sun shines
+MET_AGAIN = 0.7  # p, that of a leaf area index of 3: single crowns lose light at their sides
+ENCLOSED = 0.9  # q: part of the light from surfaces lit by others that meets others again
+COVERED_M = 1.8  # largest height of an object over a level probe that is under a car or a bench
+_TOP_PATCHES = 3  # number of the last patches, those about the zenith
+_SUN_K = 5772.0  # effective temperature, of the weights of spectra
 _RARE = 0.1  # weight of coated surfaces (vehicles, glass): little of the ground is covered by them
-_DARK = 0.7  # spectra count by this power of their size less: relative errors matter
+_DARK = 0.7  # negative power of a spectrum's size in its weight: relative errors matter
 
 
 class MaterialClasses(NamedTuple):
-    """How materials are written as sums of a few spectra.
+    """Materials as sums of a few spectra.
 
     Parameters
     ----------
     wavelength_um
-        Of the spectra. [µm]
+        Wavelengths of the spectra. [µm]
     spectra
-        Those that all are sums of. [1]
+        Principal spectra. [1]
     shares
-        What each row of (reflectance of each material, transmittance of each) has of each of them. [1]
+        Amount of each in each row of (reflectance of each material, transmittance of each). [1]
     leaf
-        Mean of reflectance and transmittance together of what lets light through. [1]
+        Mean reflectance plus transmittance of the materials that transmit light. [1]
     """
 
     wavelength_um: Float[Array, "wavelength"]
@@ -166,84 +170,21 @@ class MaterialClasses(NamedTuple):
     leaf: Float[Array, "wavelength"]
 
 
-class Met(NamedTuple):
-    """What the rays of some probes meet.
-
-    Parameters
-    ----------
-    material
-        −1 for sky.
-    sun
-        Cosine of the sun's incidence times the part of its light that arrives; below 0 from behind. [1]
-    point, normal
-        Where that is [m], and the facet's normal [1].
-    range_m
-        How far it is. [m]
-    """
-
-    material: Int[Array, "ray"]
-    sun: Float[Array, "ray"]
-    point: Float[Array, "ray 3"]
-    normal: Float[Array, "ray 3"]
-    range_m: Float[Array, "ray"]
-
-
-class Beyond(NamedTuple):
-    """What rays meet that go on.
-
-    Parameters
-    ----------
-    of, behind
-        See `gather.Onward`.
-    material, sun
-        See `Met`.
-    """
-
-    of: Int[Array, "ray"]
-    behind: Bool[Array, "onward"]
-    material: Int[Array, "onward"]
-    sun: Float[Array, "onward"]
-
-
-class Sent(NamedTuple):
-    """Rays of some probes: those of probe p are ``first[p]`` to ``first[p + 1]`` of `Met`.
-
-    Parameters
-    ----------
-    first
-        First ray of each probe, and one more.
-    direction, patch, solid_angle, brightness
-        Of each ray, as in `sky.PatchRays`. [1, 1, sr, 1]
-    facing
-        Normals for which each probe gathers: one of a facet, six about a point in a crown. [1]
-    level
-        Whether a probe stands on level ground.
-    """
-
-    first: Int[Array, "probe+1"]
-    direction: Float[Array, "ray 3"]
-    patch: Int[Array, "ray"]
-    solid_angle: Float[Array, "ray"]
-    brightness: Float[Array, "ray"]
-    facing: Float[Array, "probe facing 3"]
-    level: Bool[Array, "probe"]
-
-
 class Gathered(NamedTuple):
-    """What each probe gathers.
+    """Results of probes.
 
     Parameters
     ----------
     patches
-        Part of each patch of the sky that is open, 0 to 255.
+        Open part of each patch of the sky. [1/255]
     bounced
         Irradiance over that of its light, by light and class of material. [1]
     sky_view
         Sky view factor of each facing. [1]
     past_leaves
-        Part that leaves leave of the first facing's light from an even sky past solids. [1]
+        Transmittance of leaves for the first facing's light of an even sky past solids. [1]
     alive
-        Whether it stands where light comes: not in a building nor under a car.
+        False for a probe in a building or under a car.
     """
 
     patches: Int[Array, "probe patch"]
@@ -254,56 +195,57 @@ class Gathered(NamedTuple):
 
 
 def material_classes(materials: xr.Dataset) -> MaterialClasses:
-    """The principal components of a library's spectra, weighed with sunlight."""
+    """Find the principal components of a library's spectra, weighted with sunlight."""
     rows = np.ascontiguousarray(materials["reflectance"].values, dtype=float)
     through = materials["transmittance"].values if "transmittance" in materials else np.zeros_like(rows)
     coated = np.asarray(materials["specular_weight"].values, float) > 0.5
     wavelength_um = materials["wavelength"].values.astype(float)
-    both = np.concatenate([rows, through])
-    return _classes(both.tobytes(), wavelength_um.tobytes(), np.tile(coated, 2).tobytes())
-
-
-@lru_cache(maxsize=8)
-def _classes(spectra: bytes, grid: bytes, coated: bytes) -> MaterialClasses:
-    wavelength_um = np.frombuffer(grid)
-    rows = np.frombuffer(spectra).reshape(-1, len(wavelength_um))
+    rows = np.concatenate([rows, through])
     photon = Planck * speed_of_light / (1e-6 * wavelength_um * Boltzmann * _SUN_K)
     sunlight = np.sqrt(wavelength_um**-5 / np.expm1(photon))
     sunlight /= sunlight.max()
     weighed = rows * sunlight
     weight = np.maximum(np.linalg.norm(weighed, axis=1), 1e-3) ** -_DARK
-    weight *= np.where(np.frombuffer(coated, np.bool_), _RARE, 1.0)
-    _, _, components = np.linalg.svd(weighed * weight[:, None], full_matrices=False)
-    kept = np.zeros((CLASSES, len(wavelength_um)))
-    kept[: len(components)] = components[:CLASSES]
-    shares = weighed @ kept.T
+    weight *= np.where(np.tile(coated, 2), _RARE, 1.0)
+    components = _components((weighed * weight[:, None]).tobytes(), len(wavelength_um))
+    principal = np.zeros((CLASSES, len(wavelength_um)))
+    principal[: len(components)] = components[:CLASSES]
+    shares = weighed @ principal.T
     size = np.maximum(np.abs(shares).max(axis=0), 1e-9)
     half = len(rows) // 2
     leaves = rows[half:].max(axis=1) > 0
     leaf = (rows[:half] + rows[half:])[leaves].mean(axis=0) if leaves.any() else np.zeros(len(wavelength_um))
-    return MaterialClasses(wavelength_um, kept * size[:, None] / sunlight, shares / size, leaf)
+    return MaterialClasses(wavelength_um, principal * size[:, None] / sunlight, shares / size, leaf)
+
+
+@lru_cache(maxsize=8)
+def _components(spectra: bytes, wavelengths: int) -> Float[Array, "component wavelength"]:
+    """Principal components of spectra, once for all frames."""
+    return np.linalg.svd(np.frombuffer(spectra).reshape(-1, wavelengths), full_matrices=False)[2]
 
 
 @nb.njit(nogil=True, cache=True, fastmath=True)
-def gather_light(start, stop, sent, met, hidden, beyond, shares, out):
+def gather_light(start, stop, first, rays, facing, is_level, met, leafy, onward, beyond, shares, out):
     """Fill ``out`` (`Gathered`) for probes ``start`` to ``stop``; without ``shares`` the sky alone.
 
-    ``hidden`` are rays that leaves alone keep from the sky.
+    Probe p has ``rays`` (`sky.PatchRays`, without sets) from ``first[p]`` to ``first[p + 1]``, its normals in
+    ``facing``, and may be on level ground. Rays that only leaves keep from the sky are ``leafy``; ``beyond``
+    is the `Met` of the rays ``onward``.
     """
     patches = out.patches.shape[1]
     seen, whole = np.empty(patches), np.empty(patches)
     for p in range(start, stop):
-        low, high = sent.first[p], sent.first[p + 1]
-        one = sent.facing.shape[1] == 1
-        fx, fy, fz = sent.facing[p, 0, 0], sent.facing[p, 0, 1], sent.facing[p, 0, 2]
+        low, high = first[p], first[p + 1]
+        one = facing.shape[1] == 1
+        fx, fy, fz = facing[p, 0, 0], facing[p, 0, 1], facing[p, 0, 2]
         seen[:], whole[:] = 0.0, 0.0
         above_all = 0
         for r in range(low, high):
-            b = sent.patch[r]
+            b = rays.patch[r]
             if b < 0:
                 continue
-            d = sent.direction[r]
-            weight = sent.brightness[r] * (max(fx * d[0] + fy * d[1] + fz * d[2], 0.05) if one else 1.0)
+            d = rays.direction[r]
+            weight = rays.brightness[r] * (max(fx * d[0] + fy * d[1] + fz * d[2], 0.05) if one else 1.0)
             whole[b] += weight
             if met.material[r] < 0:
                 seen[b] += weight
@@ -316,31 +258,31 @@ def gather_light(start, stop, sent, met, hidden, beyond, shares, out):
             part = seen[b] / whole[b] if whole[b] > 0 else 0.0
             out.patches[p, b] = np.uint8(255.0 * part + 0.5)
             some |= part > 0
-        out.alive[p] = (some and not (sent.level[p] and above_all == 0)) or not one
-        for f in range(sent.facing.shape[1]):
-            _gather_facing(p, f, low, high, sent, met, hidden, beyond, shares, out)
+        out.alive[p] = (some and not (is_level[p] and above_all == 0)) or not one
+        for f in range(facing.shape[1]):
+            _gather_facing(p, f, low, high, rays, facing, met, leafy, onward, beyond, shares, out)
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _gather_facing(p, f, low, high, sent, met, hidden, beyond, shares, out):
-    """What one facing gets: its sky view factor, what leaves take of it, and light from where rays end."""
-    nx, ny, nz = sent.facing[p, f, 0], sent.facing[p, f, 1], sent.facing[p, f, 2]
-    sky, open_sky, leafy, every, blocked, followed = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+def _gather_facing(p, f, low, high, rays, facing, met, leafy, onward, beyond, shares, out):
+    """Gather a facing's sky view factor, its part past leaves, and light of the surfaces that rays meet."""
+    nx, ny, nz = facing[p, f, 0], facing[p, f, 1], facing[p, f, 2]
+    sky, open_sky, past, every, blocked, followed = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for r in range(low, high):
-        d = sent.direction[r]
-        weight = max(nx * d[0] + ny * d[1] + nz * d[2], 0.0) * sent.solid_angle[r]
+        d = rays.direction[r]
+        weight = max(nx * d[0] + ny * d[1] + nz * d[2], 0.0) * rays.solid_angle[r]
         every += weight
-        if sent.patch[r] >= 0:
+        if rays.patch[r] >= 0:
             sky += weight
             open_sky += weight if met.material[r] < 0 else 0.0
-            leafy += weight if hidden[r] else 0.0
+            past += weight if leafy[r] else 0.0
         if met.material[r] >= 0:
             blocked += weight
-            followed += weight if beyond.of[r] >= 0 else 0.0
+            followed += weight if onward.of[r] >= 0 else 0.0
     view = open_sky / sky if sky > 0 else 0.0
     out.sky_view[p, f] = view
     if f == 0:
-        out.past_leaves[p] = open_sky / (open_sky + leafy) if open_sky + leafy > 0 else 1.0
+        out.past_leaves[p] = open_sky / (open_sky + past) if open_sky + past > 0 else 1.0
     bounced = out.bounced[p, f]
     for k in range(bounced.shape[0]):
         bounced[k] = 0.0
@@ -351,8 +293,8 @@ def _gather_facing(p, f, low, high, sent, met, hidden, beyond, shares, out):
         m = met.material[r]
         if m < 0:
             continue
-        d = sent.direction[r]
-        weight = max(nx * d[0] + ny * d[1] + nz * d[2], 0.0) * sent.solid_angle[r] / every
+        d = rays.direction[r]
+        weight = max(nx * d[0] + ny * d[1] + nz * d[2], 0.0) * rays.solid_angle[r] / every
         if weight == 0.0:
             continue
         up, sun, leaf = met.normal[r, 2], met.sun[r], False
@@ -372,21 +314,23 @@ def _gather_facing(p, f, low, high, sent, met, hidden, beyond, shares, out):
                 bounced[TWICE_BY_SKY + c] += weight * (1 - above) * shares[m, c]
         if leaf:
             bounced[AMONG_LEAVES_BY_SKY] += weight * (1 - 0.5 * view)
-        if beyond.of[r] >= 0:
-            _add_twice(bounced, m, leaf, beyond.of[r], weight * blocked / followed, beyond, shares)
+        n = onward.of[r]
+        if n >= 0:
+            light = weight * blocked / followed
+            _add_twice(bounced, m, leaf, onward.behind[n], light, beyond.material[n], beyond.sun[n], shares)
     for c in range(CLASSES):
         bounced[TWICE_BY_SKY + c] *= skylit * every / blocked
     bounced[AMONG_LEAVES_BY_SKY] *= skylit * every / blocked
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _add_twice(bounced, m, leaf, onward, weight, beyond, shares):
-    """Add sunlight that came over a second surface, for which one ray stands."""
-    there, sun, half = beyond.material[onward], beyond.sun[onward], shares.shape[0] // 2
+def _add_twice(bounced, m, leaf, behind, weight, there, sun, shares):
+    """Add sunlight that came over a second surface, ``there``."""
+    half = shares.shape[0] // 2
     if there < 0 or sun == 0.0:
         return
     light = weight * abs(sun)
-    row = (half + m if beyond.behind[onward] else m) if leaf else m
+    row = (half + m if behind else m) if leaf else m
     there_row = there if sun > 0 else half + there
     for c in range(CLASSES):
         sent_on = light * shares[row, c] * (2.0 if leaf else 1.0)  # one of two sides was looked from

@@ -1,11 +1,10 @@
-"""ProbePlaces of probes: a sparse lattice of any extent, addressed by hash, on the surfaces that ask for it.
+"""Places of probes: a sparse lattice of any extent, addressed by hash, on the surfaces in view.
 
-A facet asks the four lattice points around it, carried along the axis its normal is nearest to onto its own
-plane: a probe then stands on the surface, not in the air beside it. Trees and hedges ask the one nearest in
-space. The key of a probe holds its kind, the node of its normal (`sky`) and the place in steps of the
-lattice, the key of a cell is mixed from those of its four probes: what is found does not depend on who
-asked first. Beyond the scene's window, where only the margin's houses and trees rise, steps are twice as
-long.
+A facet uses the four lattice points around it, projected onto its own plane along the axis nearest to its
+normal, so that a probe stands on the surface. Trees and hedges use the nearest point in space. The key of a
+probe holds its kind, the node of its normal (`sky`) and its place in steps of the lattice. The key of a cell
+is mixed from those of its four probes, so that the result does not depend on the order of look-ups. Beyond
+the scene's window, with only the margin's houses and trees, steps are twice as long.
 """
 
 import math
@@ -39,7 +38,7 @@ class ProbeMap(NamedTuple):
 
 
 class ProbePlaces(NamedTuple):
-    """Where probes are: centre [m], node of the normal faced, kind, and which set of directions."""
+    """Centre [m], node of the normal, kind, and number of the set of directions of probes."""
 
     centre: Float[Array, "probe 3"]
     facing: Int[Array, "probe"]
@@ -48,7 +47,7 @@ class ProbePlaces(NamedTuple):
 
 
 def empty_map(capacity: int) -> ProbeMap:
-    """A map without probes."""
+    """Allocate a map without probes."""
     return ProbeMap(np.full(capacity, EMPTY, np.int64), np.full(capacity, EMPTY, np.int32))
 
 
@@ -68,7 +67,7 @@ def slot_of(keys, key):
 
 @nb.njit(cache=True)
 def node_of_normal(nx, ny, nz):
-    """The node of `node_normals` next to a unit vector; that of level ground for what is nearly level."""
+    """Node of `node_normals` next to a unit vector; the level node for nearly level facets."""
     if nz > _NEARLY_LEVEL:
         return LEVEL_NODE
     x, y = on_square(nx, ny, nz, NORMAL_NODES)
@@ -86,69 +85,59 @@ def _key(kind, facing, a, b, c):
 
 @nb.njit(cache=True)
 def volume_key(px, py, pz, kind, scale):
-    """Key of the probe in a crown that is nearest to a point."""
+    """Key of the probe in space that is nearest to a point."""
     step, rise = STEPS_M[kind] * scale, RISE_M[kind] * scale
     a, b = math.floor(px / step - _SHIFT[0] + 0.5), math.floor(py / step - _SHIFT[1] + 0.5)
     return _key(kind, 0, a, b, math.floor(pz / rise - _SHIFT[2] + 0.5))
 
 
+@nb.njit(cache=True, forceinline=True)
+def facet_corners(px, py, pz, nx, ny, nz, kind, scale):
+    """Keys of the four probes around a point of a facet, and its place between them (0 to 1)."""
+    facing = node_of_normal(nx, ny, nz)
+    u, v, w, nu, nv, nw = px, py, pz, nx, ny, nz
+    if _MAIN_AXIS[facing] == 0:
+        u, v, w, nu, nv, nw = py, pz, px, ny, nz, nx
+    elif _MAIN_AXIS[facing] == 1:
+        u, v, w, nu, nv, nw = pz, px, py, nz, nx, ny
+    step, rise = STEPS_M[kind] * scale, RISE_M[kind] * scale
+    x, y = u / step - _SHIFT[0], v / step - _SHIFT[1]
+    i, j = math.floor(x), math.floor(y)
+    place = u, v, w, nu, nv, nw
+    corners = (
+        _corner(kind, facing, i, j, place, step, rise),
+        _corner(kind, facing, i + 1, j, place, step, rise),
+        _corner(kind, facing, i, j + 1, place, step, rise),
+        _corner(kind, facing, i + 1, j + 1, place, step, rise),
+    )
+    return corners, x - i, y - j
+
+
 @nb.njit(cache=True)
 def facet_cell(px, py, pz, nx, ny, nz, kind, scale):
     """Key of the cell around a point of a facet, by all its four probes, and its place there (0 to 1)."""
-    facing, u, v, w, nu, nv, nw = _carried(px, py, pz, nx, ny, nz)
-    step = STEPS_M[kind] * scale
-    x, y = u / step - _SHIFT[0], v / step - _SHIFT[1]
-    i, j = math.floor(x), math.floor(y)
+    corners, fx, fy = facet_corners(px, py, pz, nx, ny, nz, kind, scale)
     key = np.uint64(0)
-    for corner in range(4):
-        one = _corner(kind, facing, i + (corner & 1), j + (corner >> 1), u, v, w, nu, nv, nw, scale)
-        key = (key ^ np.uint64(one)) * _MIXED_BY
+    for corner in corners:
+        key = (key ^ np.uint64(corner)) * _MIXED_BY
         key ^= key >> np.uint64(29)
-    return np.int64(key | _MARK), x - i, y - j
-
-
-@nb.njit(cache=True)
-def facet_corners(px, py, pz, nx, ny, nz, kind, scale, keys):
-    """Keys of the four probes around a point of a facet."""
-    facing, u, v, w, nu, nv, nw = _carried(px, py, pz, nx, ny, nz)
-    step = STEPS_M[kind] * scale
-    i, j = math.floor(u / step - _SHIFT[0]), math.floor(v / step - _SHIFT[1])
-    for corner in range(4):
-        a, b = i + (corner & 1), j + (corner >> 1)
-        keys[corner] = _corner(kind, facing, a, b, u, v, w, nu, nv, nw, scale)
+    return np.int64(key | _MARK), fx, fy
 
 
 @nb.njit(cache=True, forceinline=True)
-def _carried(px, py, pz, nx, ny, nz):
-    """Node of a normal, and place and normal with the axis last that it is nearest to."""
-    facing = node_of_normal(nx, ny, nz)
-    along = _MAIN_AXIS[facing]
-    if along == 2:
-        return facing, px, py, pz, nx, ny, nz
-    if along == 0:
-        return facing, py, pz, px, ny, nz, nx
-    return facing, pz, px, py, nz, nx, ny
-
-
-@nb.njit(cache=True, forceinline=True)
-def _corner(kind, facing, a, b, u, v, w, nu, nv, nw, scale):
+def _corner(kind, facing, a, b, place, step, rise):
     """Key of a lattice point on a facet's plane."""
-    step = STEPS_M[kind] * scale
+    u, v, w, nu, nv, nw = place
     height = w - (nu * ((a + _SHIFT[0]) * step - u) + nv * ((b + _SHIFT[1]) * step - v)) / nw
-    return _key(kind, facing, a, b, math.floor(height / (RISE_M[kind] * scale) - _SHIFT[2] + 0.5))
-
-
-def kind_of(keys: Int[Array, "probe"]) -> Int[Array, "probe"]:
-    """Kinds of the probes of some keys."""
-    return keys >> (3 * _BITS + _CLASS_BITS)
+    return _key(kind, facing, a, b, math.floor(height / rise - _SHIFT[2] + 0.5))
 
 
 def places_of(keys: Int[Array, "probe"], scale: float) -> ProbePlaces:
-    """Where the probes of some keys are, lifted off their facets."""
+    """Find the places of the probes of some keys, lifted off their facets."""
     mask = (1 << _BITS) - 1
     place = np.stack([((keys >> (_BITS * k)) & mask) - _HALF for k in (2, 1, 0)], axis=1)
     facing = (keys >> (3 * _BITS)) & ((1 << _CLASS_BITS) - 1)
-    kind = kind_of(keys)
+    kind = keys >> (3 * _BITS + _CLASS_BITS)
     on_facet = kind <= FAR_FACET
     size = scale * np.stack([STEPS_M[kind], STEPS_M[kind], RISE_M[kind]], axis=1)
     centre = (place + _SHIFT) * size
@@ -161,19 +150,19 @@ def places_of(keys: Int[Array, "probe"], scale: float) -> ProbePlaces:
 
 
 OPEN = -1  # cell of a surface beyond all that rises, which sees the whole sky
-SPACE = -2  # cells of points in space are counted down from here, so that they are told from facets'
+SPACE = -2  # cells of points in space are counted down from here
 AS_FACETS, IN_SPACE, BY_SIDES, BY_HALVES = range(4)  # roles of instances: as facets, trees, vehicles
-LONG_M = 7.0  # vehicles whose sides have an upper and a lower half
+LONG_M = 7.0  # shortest vehicle with an upper and a lower half of its sides
 CORNERS = 8  # cells of a point in space, by the signs of a normal's components
 _SUNK_M = 0.6  # into a crown
-_UPWARD = 0.5  # upward component of normals whose sky view the map of heights knows
-_LEAST_SEEN, _MOST_HERE = 0.02, 4.0  # of what probes see of the sky, and how much more a place among them may
-_LEAST_LEFT = 1e-6  # by leaves, of a surface that the map may know
+_UPWARD = 0.5  # upward component of normals with a sky view in the map of heights
+_MIN_VIEW, _MAX_HERE = 0.02, 4.0  # sky view of probes, and that of a place over theirs
+_MIN_PAST_LEAVES = 1e-6
 
 
 @nb.njit(cache=True, forceinline=True)
 def _in_space(seen, instance, material):
-    """Whether a surface finds its probe in space: trees, hedges, and every leaf card."""
+    """Return True if a surface uses probes in space: trees, hedges, and every leaf card."""
     if instance >= 0 and seen.role[instance] != AS_FACETS:
         return seen.role[instance] == IN_SPACE
     return material >= 0 and material < seen.sheets.size and seen.sheets[material]
@@ -181,7 +170,7 @@ def _in_space(seen, instance, material):
 
 @nb.njit(cache=True, forceinline=True)
 def _sunk(seen, instance, px, py, pz):
-    """A point of a crown, some way into it: what is seen of a crown is its outside, and has leaves around."""
+    """Move a point of a crown into it: its visible outside has leaves around."""
     if instance < 0:
         return px, py, pz
     mx, my, mz = seen.middle[instance, 0] - px, seen.middle[instance, 1] - py, seen.middle[instance, 2] - pz
@@ -193,21 +182,19 @@ def _sunk(seen, instance, px, py, pz):
 @nb.njit(cache=True)
 def _kind(px, py, window, volume):
     inside = window[0] <= px <= window[2] and window[1] <= py <= window[3]
-    if volume:
-        return VOLUME if inside else FAR_VOLUME
-    return FACET if inside else FAR_FACET
+    return (VOLUME if volume else FACET) + (0 if inside else 1)
 
 
 @nb.njit(cache=True)
 def add_wanted(rays, seen, where, known, counts, wanted, first_row, new_cells):
-    """Number every cell and probe that some rays lack.
+    """Assign numbers to every cell and probe that some rays lack.
 
-    Returns how many probes are new (−1: more than there is room for), and the numbers of cells and rows.
+    Return the number of new probes (−1: more than there is room for), and the next cell and row.
     """
     _, window, scale = where
     cell_map, row_map = known
     rows, first_cell, most = counts
-    corners, used, cells = np.empty(4, np.int64), 0, first_cell
+    used, cells = 0, first_cell
     for ray in rays:
         p, n, instance = seen.point[ray], seen.normal[ray], seen.instance[ray]
         px, py, pz = float(p[0]), float(p[1]), float(p[2])
@@ -217,7 +204,7 @@ def add_wanted(rays, seen, where, known, counts, wanted, first_row, new_cells):
         if volume:
             key = volume_key(*_sunk(seen, instance, px, py, pz), kind, scale)
         else:
-            key, _, _ = facet_cell(px, py, pz, nx, ny, nz, kind, scale)
+            key = facet_cell(px, py, pz, nx, ny, nz, kind, scale)[0]
         slot = slot_of(cell_map.keys, key)
         if cell_map.keys[slot] == key:
             continue
@@ -232,7 +219,7 @@ def add_wanted(rays, seen, where, known, counts, wanted, first_row, new_cells):
             used, cells, rows = used + 1, cells + CORNERS, rows + 6
             continue
         cell_map.numbers[slot] = cells
-        facet_corners(px, py, pz, nx, ny, nz, kind, scale, corners)
+        corners = facet_corners(px, py, pz, nx, ny, nz, kind, scale)[0]
         for c in range(4):
             at = slot_of(row_map.keys, corners[c])
             if row_map.keys[at] != corners[c]:
@@ -246,7 +233,7 @@ def add_wanted(rays, seen, where, known, counts, wanted, first_row, new_cells):
 
 @nb.njit(cache=True)
 def space_cells(first, down, cells):
-    """The eight cells of a point whose probes face `AXES` from row ``first`` on; the last if ``down``."""
+    """Write the eight cells of a point with probes of `AXES` from row ``first`` on; the last if ``down``."""
     for k in range(CORNERS):
         x, y = first + (2 if k & 1 else 1), first + (4 if k & 2 else 3)
         z = first if not k & 4 else (first + 5 if down else x)
@@ -254,18 +241,18 @@ def space_cells(first, down, cells):
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
-def look_up(start, stop, seen, where, known, heights, out, unknown):
-    """Look up surfaces ``start`` to ``stop``: cell, place in it, sky view, and what of that is its own."""
-    for i in range(start, stop):
-        unknown[i] = not _look_up_one(i, seen, where, known, heights, out)
+def look_up(start, stop, rays, seen, where, known, heights, found, unknown):
+    """Look up the cells of surfaces, their places in these, and their sky view."""
+    for k in range(start, stop):
+        unknown[k] = not _look_up_one(rays[k], seen, where, known, heights, found)
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _look_up_one(i, seen, where, known, heights, out):
-    """Look up one surface; returns whether its cell is known."""
+def _look_up_one(i, seen, where, known, heights, found):
+    """Look up a surface; return True if its cell is known."""
     box, window, scale = where
     cell_map, cells, views, past_leaves = known
-    cell, part, view, here = out
+    cell, part, view, here = found.cell, found.part, found.sky_view, found.sky_here
     m, instance = seen.material[i], seen.instance[i]
     nx, ny, nz = float(seen.normal[i, 0]), float(seen.normal[i, 1]), float(seen.normal[i, 2])
     px, py, pz = float(seen.point[i, 0]), float(seen.point[i, 1]), float(seen.point[i, 2])
@@ -274,8 +261,8 @@ def _look_up_one(i, seen, where, known, heights, out):
     if m < 0 or not inside or pz > box[1, 2]:
         return True
     if instance >= 0 and seen.role[instance] >= BY_SIDES:  # by its own axes
-        found = np.int64(seen.body[instance])
-        if found < 0:
+        at = np.int64(seen.body[instance])
+        if at < 0:
             return True
         t = seen.transforms[instance]
         bx = t[0, 0] * nx + t[1, 0] * ny + t[2, 0] * nz
@@ -284,53 +271,47 @@ def _look_up_one(i, seen, where, known, heights, out):
         scaled = 1.0 / np.sqrt(bx * bx + by * by + bz * bz)
         nx, ny, nz = bx * scaled, by * scaled, bz * scaled
         if seen.role[instance] == BY_HALVES and pz > seen.middle[instance, 2]:
-            found += CORNERS
+            at += CORNERS
     elif _in_space(seen, instance, m):
         kind = _kind(px, py, window, True)
-        found = _number_of(cell_map, volume_key(*_sunk(seen, instance, px, py, pz), kind, scale))
+        at = _number_of(cell_map, volume_key(*_sunk(seen, instance, px, py, pz), kind, scale))
     else:
         kind = _kind(px, py, window, False)
         key, fx, fy = facet_cell(px, py, pz, nx, ny, nz, kind, scale)
         part[i, 0], part[i, 1] = np.uint8(255 * fx + 0.5), np.uint8(255 * fy + 0.5)
-        found = _number_of(cell_map, key)
-        if found < 0:
+        at = _number_of(cell_map, key)
+        if at < 0:
             return False
-        cell[i] = found
-        among, leaves = _blended(cells, found, part[i, 0], part[i, 1], views, past_leaves)
+        cell[i] = at
+        among, leaves = _blend(cells, at, part[i, 0], part[i, 1], views, past_leaves)
         view[i] = among
-        if kind == FACET and nz > _UPWARD and among > _LEAST_SEEN:
+        if kind == FACET and nz > _UPWARD and among > _MIN_VIEW:
             solids = view_of_solids(heights, px, py, pz, nx, ny, nz)
             if solids >= 0:  # the map of heights and what leaves leave bring it to the very place
-                here[i] = min(solids * np.float32(max(leaves, _LEAST_LEFT)) / view[i], _MOST_HERE)
+                here[i] = min(solids * np.float32(max(leaves, _MIN_PAST_LEAVES)) / view[i], _MAX_HERE)
                 view[i] = here[i] * view[i]
         return True
-    if found < 0:
+    if at < 0:
         return False
-    found += (1 if nx < 0 else 0) + (2 if ny < 0 else 0) + (4 if nz < 0 else 0)
+    at += (1 if nx < 0 else 0) + (2 if ny < 0 else 0) + (4 if nz < 0 else 0)
     level = nx * nx + nz * nz
     part[i, 0] = np.uint8(255 * nx * nx / level + 0.5) if level > 1e-9 else 0
     part[i, 1] = np.uint8(255 * ny * ny + 0.5)
-    cell[i] = SPACE - found
-    view[i] = blended_view(cells, found, part[i, 0], part[i, 1], views)
+    cell[i] = SPACE - at
+    view[i] = _blend(cells, at, part[i, 0], part[i, 1], views, views)[0]
     return True
 
 
 @nb.njit(cache=True, forceinline=True)
 def _number_of(cell_map, key):
-    """Number of the cell of a key; −1 if there is none."""
+    """Find the number of a key's cell; −1 for none."""
     slot = slot_of(cell_map.keys, key)
     return np.int64(cell_map.numbers[slot]) if cell_map.keys[slot] == key else np.int64(-1)
 
 
 @nb.njit(cache=True, forceinline=True)
-def blended_view(cells, cell, across, along, views):
-    """Sky view factor of a place in a cell, without probes that no light reaches; 0 if none is left."""
-    return _blended(cells, cell, across, along, views, views)[0]
-
-
-@nb.njit(cache=True, forceinline=True)
-def _blended(cells, cell, across, along, views, values):
-    """Sky view factor and another value of a place in a cell, from the probes that light reaches."""
+def _blend(cells, cell, across, along, views, values):
+    """Sky view factor and another value of a place in a cell, from the probes that light reaches; else 0."""
     fx, fy = across / 255.0, along / 255.0
     total, seen, other = 0.0, 0.0, 0.0
     for c in range(4):

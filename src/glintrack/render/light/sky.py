@@ -1,19 +1,18 @@
-"""Sky and air at one sensor altitude, nodes of facet normals, and the patches that the sky is cut into.
+"""Sky and air at one sensor altitude, nodes of facet normals, and patches of the sky.
 
-Angular maps come over (polar angle, azimuth) in the ``meridian`` frame, whose axis spins about the zenith
-and the nadir. They are resampled once to a stereographic disc, with Q and U turned to an axis that is
-smooth there: north carried along the great circle from the zenith (sky) or the nadir (path) to the ray. A
-look-up then needs no trigonometry and has no pole.
+Angular maps have axes (polar angle, azimuth) in the ``meridian`` frame, which is singular at the zenith and
+the nadir. They are resampled once to a stereographic disc, with Q and U rotated to an axis that is smooth
+there: north carried along the great circle from the zenith (sky) or the nadir (path) to the ray. A look-up
+then needs no trigonometry and has no pole.
 
-A third to two fifths of the skylight on level ground comes from within 30° of the sun, which is just what a
-shading object hides. So the patches are small there, a cap of 12° and a ring to 30° in four quarters, and
-three bands of height in sectors elsewhere. A probe keeps which part of each it sees; `shade` multiplies
-that with the irradiance that each component of the sky sends from it.
+A third to two fifths of the skylight on level ground comes from within 30° of the sun. Shading objects hide
+just this part. The patches are small there: a cap of 12° and a ring to 30° in four quarters; elsewhere three
+bands of height in sectors. A probe stores the open part of each, and `shade` multiplies that with the
+patch's irradiance of each component of the sky.
 """
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numba as nb
@@ -52,15 +51,11 @@ def square_cell(nx, ny, nz, stride):
     x, y = on_square(nx, ny, nz, coarse + 1)
     i, j = min(int(x + 1e-4), coarse - 1), min(int(y + 1e-4), coarse - 1)
     fx, fy = x - i, y - j
-    if fx < 1e-4:
-        fx = 0.0
-    if fy < 1e-4:
-        fy = 0.0
-    return i * stride, j * stride, fx, fy
+    return i * stride, j * stride, fx if fx >= 1e-4 else 0.0, fy if fy >= 1e-4 else 0.0
 
 
 def node_normals() -> Float[Array, "normal 3"]:
-    """Unit vector of each node, row by row."""
+    """Return the unit vectors of the nodes, row by row."""
     x, y = np.meshgrid(*2 * [np.linspace(-1, 1, NORMAL_NODES)], indexing="ij")
     z = 1 - np.abs(x) - np.abs(y)
     below = z < 0
@@ -74,8 +69,8 @@ QUARTERS = 4
 _BANDS = ((0.0, 0.35, 6), (0.35, 0.7, 6), (0.7, 1.0, 3))  # lowest and highest sine of the elevation, sectors
 PATCHES = 1 + QUARTERS + sum(sectors for *_, sectors in _BANDS)
 _RAYS = (4, *QUARTERS * (2,), *6 * (2,), *6 * (2,), *3 * (3,))  # of a probe to each patch
-SETS = 4  # of directions: neighbouring probes have different ones, and share what they find
-_DENSE = 8192  # directions that stand for the hemisphere where patches are measured
+SETS = 4  # of directions: neighbouring probes have different ones, and share their light
+_DENSE = 8192  # directions that represent the hemisphere
 _BELOW = 16  # directions below the horizon
 _DEPTH, _AROUND_SUN, _SPREAD_RAD = 0.25, 6.0, 0.2  # of `clear_sky`
 _ROUNDS = 12  # of Lloyd's iteration
@@ -91,10 +86,9 @@ class PatchRays(NamedTuple):
     patch
         Patch of each; −1 below the horizon.
     solid_angle
-        That each stands for. [sr]
+        Solid angle of each. [sr]
     brightness
-        A clear sky's, in each direction, beside that of others of the same patch: it is brighter toward the
-        horizon and about the sun. [1]
+        Relative brightness of a clear sky in each direction: larger toward the horizon and the sun. [1]
     """
 
     direction: Float[Array, "set ray 3"]
@@ -104,7 +98,7 @@ class PatchRays(NamedTuple):
 
 
 def patch_of(direction: Float[Array, "direction 3"], sun: Float[Array, "3"]) -> Int[Array, "direction"]:
-    """Patch of each unit vector above the horizon; those below get that of the horizon above them."""
+    """Patch of each unit vector; those below the horizon have that of the horizon above them."""
     direction, sun = np.asarray(direction, float), np.asarray(sun, float)
     up = np.clip(direction[:, 2], 0.0, 1.0 - 1e-12)
     turn = np.mod(np.arctan2(direction[:, 0], direction[:, 1]) / (2 * math.pi), 1.0)
@@ -126,7 +120,7 @@ def patch_of(direction: Float[Array, "direction 3"], sun: Float[Array, "3"]) -> 
 
 
 def hemisphere_directions(count: int) -> Float[Array, "direction 3"]:
-    """Unit vectors spread evenly over the upper hemisphere. [1]
+    """Spread unit vectors evenly over the upper hemisphere. [1]
 
     References
     ----------
@@ -141,7 +135,7 @@ def hemisphere_directions(count: int) -> Float[Array, "direction 3"]:
 
 
 def patch_rays(sun: Float[Array, "3"]) -> PatchRays:
-    """Directions spread evenly over each patch (centres of Lloyd's cells), and evenly below the horizon."""
+    """Spread directions evenly over each patch (centres of Lloyd's cells), and below the horizon."""
     dense = hemisphere_directions(_DENSE)
     patch = patch_of(dense, sun)
     share = 2 * math.pi / _DENSE
@@ -182,30 +176,29 @@ _DISC_CELLS = 128  # 0.9° to 1.8° a cell, finer than the tables' 3° × 5°
 
 @dataclass(frozen=True)
 class Sky:
-    """What `shade` needs of the atmosphere, at one sensor altitude.
+    """Light of sun, sky and air for `shade`, at one sensor altitude.
 
     Parameters
     ----------
     wavelength_um
-        Of every spectrum below. [µm]
+        Wavelengths of every spectrum below. [µm]
     sun_direction
         Unit vector toward the sun, ENU. [1]
     sun_irradiance
-        Direct, normal to the beam, at the ground. [W m⁻² µm⁻¹]
+        Direct irradiance, normal to the beam, at the ground. [W m⁻² µm⁻¹]
     sky_irradiance
-        Diffuse on level ground. [W m⁻² µm⁻¹]
+        Diffuse irradiance of level ground. [W m⁻² µm⁻¹]
     sky_spectrum, sky_map
         Sky radiance = Σ spectrum × map. [W m⁻² sr⁻¹ µm⁻¹, 1]
     irradiance_map
-        Of facets in the open, over the nodes of `sky.node_normals`, from each patch of the sky
-        (`sky`): Σ spectrum × map is their irradiance from the part of it in front of them; the sum
-        over the patches is ``sky_irradiance`` on level ground.
+        Σ spectrum × map is the irradiance of facets in the open from each patch of the sky, over the nodes of
+        `node_normals`; the sum over the patches is ``sky_irradiance`` on level ground.
     path_spectrum, path_map
-        Path radiance likewise, what gases leave of it in the spectrum; its disc is centred on the nadir.
+        Path radiance likewise, with the absorption of gases in the spectrum; the disc's centre is the nadir.
     transmittance
-        From ground to sensor. [1]
+        Transmittance from ground to sensor. [1]
     view_zenith_rad
-        Of the transmittance; from the nadir. [rad]
+        Angles of the transmittance, from the nadir. [rad]
     """
 
     wavelength_um: Float[Array, "wavelength"]
@@ -220,21 +213,16 @@ class Sky:
     transmittance: Float[Array, "wavelength view_zenith"]
     view_zenith_rad: Float[Array, "view_zenith"]
 
-    @cached_property
-    def map_strength(self) -> Float[Array, "sky_component"]:
-        """Greatest absolute value of each component of ``sky_map``. [1]"""
-        return np.abs(self.sky_map).max(axis=(0, 1, 3))
-
 
 def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:
-    """Unpack a dataset of schema ``atmosphere`` once, at the altitude of the sensor.
+    """Convert a dataset of schema ``atmosphere`` to a sky at the altitude of the sensor.
 
     Parameters
     ----------
     tables
         From `glintrack.atmosphere.solve_tables`.
     altitude_m
-        Of the sensor above the ground; must lie within the tables. [m]
+        Altitude of the sensor above the ground, within the tables. [m]
     """
     altitudes = tables["altitude"].values.astype(float)
     if not altitudes[0] - 1e-6 <= altitude_m <= altitudes[-1] + 1e-6:
@@ -242,15 +230,12 @@ def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:
             f"`altitude_m` must lie within the atmosphere's tables, {altitudes[0]:g} to {altitudes[-1]:g} m, "
             f"got {altitude_m:g} (see atmosphere.altitudes_m)"
         )
-    above = int(np.clip(np.searchsorted(altitudes, altitude_m), 1, max(len(altitudes) - 1, 1)))
-    if len(altitudes) == 1:
-        low, high, part = 0, 0, 0.0
-    else:
-        low, high = above - 1, above
-        part = float((altitude_m - altitudes[low]) / (altitudes[high] - altitudes[low]))
+    high = min(max(int(np.searchsorted(altitudes, altitude_m)), 1), len(altitudes) - 1)
+    low = max(high - 1, 0)
+    part = float((altitude_m - altitudes[low]) / (altitudes[high] - altitudes[low])) if high else 0.0
 
-    def at_altitude(name: str) -> Array:
-        values = tables[name].transpose(*_LEADING[name], ...).values.astype(float)
+    def at_altitude(name: str, leading: str = "wavelength") -> Array:
+        values = tables[name].transpose(leading, "altitude", ...).values.astype(float)
         return (1 - part) * values[:, low] + part * values[:, high]
 
     zenith, azimuth = float(tables.attrs["sun_zenith_rad"]), float(tables.attrs["sun_azimuth_rad"])
@@ -267,21 +252,16 @@ def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:
         sky_map=sky_map,
         irradiance_map=_irradiance_map(sky_map, sun),
         path_spectrum=tables["path_spectrum"].values.astype(float) * at_altitude("path_gas"),
-        path_map=_on_disc(at_altitude("path_map"), view_zenith, tables["azimuth"].values, "down"),
+        path_map=_on_disc(
+            at_altitude("path_map", "path_component"), view_zenith, tables["azimuth"].values, "down"
+        ),
         transmittance=at_altitude("transmittance"),
         view_zenith_rad=view_zenith,
     )
 
 
-_LEADING = {
-    "path_map": ("path_component", "altitude"),
-    "path_gas": ("wavelength", "altitude"),
-    "transmittance": ("wavelength", "altitude"),
-}
-
-
 def _on_disc(meridian: Array, polar_rad: Array, azimuth_rad: Array, looking: str) -> Array:
-    """(component, polar, azimuth, 3) in `meridian` to the disc (east, north, component, 3), smooth frame."""
+    """Resample (component, polar, azimuth, 3) in `meridian` to the disc (east, north, component, 3)."""
     cells = np.linspace(-1.0, 1.0, _DISC_CELLS)
     x, y = np.meshgrid(cells, cells, indexing="ij")
     polar, azimuth = 2 * np.arctan(np.hypot(x, y)), np.arctan2(x, y)
@@ -289,7 +269,7 @@ def _on_disc(meridian: Array, polar_rad: Array, azimuth_rad: Array, looking: str
 
 
 def _irradiance_map(sky_map: Array, sun: Array) -> Array:
-    """∫ I cos θ dω over each patch of the sky in front of facets with the normals of `node_normals`."""
+    """Integrate I cos θ dω over each patch of the sky, for facets with the normals of `node_normals`."""
     heights, weights = np.polynomial.legendre.leggauss(32)
     heights, weights = 0.5 * (heights + 1), 0.5 * weights
     turns = (np.arange(64) + 0.5) * 2 * np.pi / 64
@@ -304,7 +284,7 @@ def _irradiance_map(sky_map: Array, sun: Array) -> Array:
 
 @nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, forceinline=True)
 def look_up(disc, rx, ry, rz, out):
-    """Bilinear (component, 3) of a disc map in direction r; beyond the horizon the horizon's value."""
+    """Interpolate (component, 3) of a disc map in direction r; beyond the horizon the horizon's value."""
     scale = 1.0 / (1.0 + abs(rz))
     last = disc.shape[0] - 1
     x = min(max((rx * scale + 1.0) * 0.5 * last, 0.0), last - 1e-6)
@@ -327,16 +307,14 @@ def look_up(disc, rx, ry, rz, out):
 @nb.njit(cache=True)
 def north_axis(rx, ry, rz):
     """North carried along the great circle from the zenith (rz ≥ 0) or the nadir (rz < 0) to direction r."""
-    if rz >= 0:
-        g = ry / (1.0 + rz)
-        return -g * rx, 1.0 - g * ry, -g * (rz + 1.0)
-    g = ry / (1.0 - rz)
-    return -g * rx, 1.0 - g * ry, -g * (rz - 1.0)
+    pole = 1.0 if rz >= 0 else -1.0
+    g = ry / (1.0 + pole * rz)
+    return -g * rx, 1.0 - g * ry, -g * (rz + pole)
 
 
 @nb.njit(cache=True)
 def look_up_all(disc, directions):
-    """(direction, component, 3) of a disc map, and the axis of each (`north_axis`)."""
+    """Interpolate (direction, component, 3) of a disc map, and the axis of each (`north_axis`)."""
     out = np.empty((directions.shape[0], disc.shape[2], 3))
     north = np.empty((directions.shape[0], 3))
     for i in range(directions.shape[0]):

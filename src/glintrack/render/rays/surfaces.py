@@ -1,14 +1,13 @@
-"""What an intersector offers, holes of leaf cards, and surfaces from its answers.
+"""Interface of an intersector, holes of leaf cards, and the surfaces that rays meet.
 
-An intersector says primitive, slot and barycentrics of a ray's end; `resolve` gives point, normal, material
-and vehicle. Leaf cards are sheets that stand for a spray of leaves and are partly holes. A ray of look
-meets a card or passes through one of its holes, which are fixed in the card: the same leaves are seen in
-every frame. Light on its way to a point is weakened by the mean of what it passes, because an element is
-wider than a hole: a crown's shadow is half shade, not a pattern too fine to sample.
+An intersector returns the primitive, slot and barycentrics of a ray's end. `resolve` turns them into point,
+normal, material and vehicle. Leaf cards are sheets that represent a spray of leaves and are partly holes. A
+ray of look meets a card or passes through one of its holes. The holes are fixed in the card, so that every
+frame shows the same leaves. Light on its way to a point is weakened by the mean gap of the cards that it
+passes, because an element is wider than a hole.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
 import numba as nb
@@ -44,7 +43,7 @@ class Intersections(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> "Intersections":
-        """Arrays for so many rays, not yet filled."""
+        """Allocate arrays for a number of rays."""
         face, slot = (np.empty(count, np.uint32) for _ in range(2))
         return cls(np.empty(count, np.float32), face, slot, np.empty((count, 2), np.float32))
 
@@ -52,8 +51,9 @@ class Intersections(NamedTuple):
 class Tracer(Protocol):
     """An intersector: one static mesh and any number of instances of a few models.
 
-    It is made of the static mesh, the models, transforms and models of instances that never move (slots from
-    1 on), and which part of each face is holes, static mesh first; in a mesh faces without holes come first.
+    Constructor arguments: the static mesh, the models, transforms and models of the instances that never move
+    (slots from 1 on), and the gap fraction of each face, static mesh first. Faces without holes come first in
+    each mesh.
     """
 
     def update(self, transforms: Array, models: Array) -> None:
@@ -64,7 +64,7 @@ class Tracer(Protocol):
         transforms
             Model to world, (k, 3, 4). [m]
         models
-            Which model each is, (k,).
+            Index of the model of each, (k,).
         """
         ...
 
@@ -80,16 +80,16 @@ class Tracer(Protocol):
         directions
             Unit vectors (n, 3), float32. [1]
         coherent
-            Whether rays that follow each other are neighbours, of nearly one direction.
+            True if consecutive rays are neighbours with nearly the same direction.
         past
-            Look at everything, or only at what stands still.
+            "all", or "still" for the static mesh and the fixed instances only.
         """
         ...
 
     def transmittance(
         self, origins: Array, directions: Array, wanted: Array, coherent: bool = False, past: Past = "all"
     ) -> Array:
-        """Part of the light that comes along each ray that is ``wanted``: 0 past any face, less past cards.
+        """Transmittance along each ray that is ``wanted``: 0 past any face, between 0 and 1 past cards.
 
         Parameters
         ----------
@@ -109,13 +109,22 @@ class Tracer(Protocol):
         ...
 
 
-LEAST_LIGHT = 0.02  # light that has passed so many cards is not followed further
+NO_TRANSFORMS, NO_MODELS = np.zeros((0, 3, 4)), np.zeros(0, np.int64)  # of no instance
+
+
+def box_corners(points: Float[Array, "point 3"]) -> Float[Array, "8 3"]:
+    """Corners of the bounding box of some points."""
+    ends = np.stack([points.min(axis=0), points.max(axis=0)], axis=1).astype(float)
+    return np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+MIN_LIGHT = 0.02  # transmittance under which light is not followed further [1]
 _CELLS = 6  # along a face's edges: holes of a tenth to a quarter of a metre in cards of a metre
 
 
 @nb.njit(nogil=True, cache=True)
 def is_hole(face, u, v, gap):
-    """Whether a card's point is a hole, for a card of which the part ``gap`` is holes.
+    """Return True if a point of a card of gap fraction ``gap`` is a hole.
 
     Parameters
     ----------
@@ -124,7 +133,7 @@ def is_hole(face, u, v, gap):
     u, v
         Barycentric coordinates of the point. [1]
     gap
-        Part of the face that is holes, 0 to 1. [1]
+        Gap fraction of the face, 0 to 1. [1]
 
     References
     ----------
@@ -143,9 +152,8 @@ SHADOW_OFFSET_M = 3e-3  # float32 at 3 km needs 1–5 mm along the normal to cle
 NO_HIT = np.uint32(0xFFFFFFFF)  # primitive and slot of a ray that met nothing
 
 
-@dataclass(frozen=True)
-class FaceTable:
-    """All meshes of a scene in one: mesh k's faces start at ``start[k]`` (mesh 0 is the static one)."""
+class FaceTable(NamedTuple):
+    """Faces of all meshes of a scene; mesh k starts at ``start[k]`` (mesh 0 is the static one)."""
 
     vertices: Float[Array, "vertex 3"]
     corners: Int[Array, "face 3"]
@@ -154,7 +162,7 @@ class FaceTable:
 
     @classmethod
     def of(cls, meshes: tuple[Mesh, ...]) -> "FaceTable":
-        """Join meshes, in the order of an intersector's submodels."""
+        """Concatenate meshes, in the order of an intersector's submodels."""
         vertex_start = np.cumsum([0, *(len(m.vertices) for m in meshes)])
         corners = [m.faces.reshape(-1, 3) + s for m, s in zip(meshes, vertex_start, strict=False)]
         return cls(
@@ -164,28 +172,19 @@ class FaceTable:
             np.concatenate([np.asarray(m.material, dtype=np.int16) for m in meshes]),
         )
 
-    def facing_up(self, primitive: int, slot: int, snapshot: Snapshot) -> float:
-        """Upward component of a face's own normal, not normalised; NaN if nothing was met."""
-        if primitive == NO_HIT:
-            return np.nan
-        mesh = int(snapshot.model[slot - 1]) + 1 if slot else 0
-        a, b, c = self.vertices[self.corners[self.start[mesh] + primitive]].astype(float)
-        normal = np.cross(b - a, c - a)
-        return float(snapshot.transforms[slot - 1][2, :3] @ normal if slot else normal[2])
-
 
 class SurfaceHits(NamedTuple):
-    """Where rays landed; see `Hits` for the fields.
+    """Surfaces that rays meet; see `Hits` for the other fields.
 
     Parameters
     ----------
     instance
-        Which of the snapshot's instances; −1 for the static mesh and for none.
+        Index of the snapshot's instance; −1 for the static mesh and for none.
     lifted
-        Where further rays start: `SHADOW_OFFSET_M` off the facets, of sheets on the side of the sun. [m]
+        Origin of further rays: `SHADOW_OFFSET_M` off the facets, of sheets on the side of the sun. [m]
     sun_cosine
-        Cosine of the sun's incidence; where it stands behind the facet negative for sheets and 0 for all
-        else; 0 for sky. [1]
+        Cosine of the sun's incidence. With the sun behind the facet negative for sheets and 0 for all
+        others; 0 for sky. [1]
     """
 
     point: Float[Array, "ray 3"]
@@ -199,7 +198,7 @@ class SurfaceHits(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> "SurfaceHits":
-        """Arrays for so many rays, not yet filled."""
+        """Allocate arrays for a number of rays."""
         return cls(
             point=np.empty((count, 3), np.float32),
             normal=np.empty((count, 3), np.float32),
@@ -222,67 +221,48 @@ def resolve(
     sun_direction: Float[Array, "3"],
     sheets: Bool[Array, "material"],
 ) -> SurfaceHits:
-    """Surfaces that rays met.
+    """Find the surfaces that rays meet.
 
     Parameters
     ----------
     origins, directions
-        As they were traced; one common origin or one for each ray. [m, 1]
+        Rays as traced; one common origin or one for each ray. [m, 1]
     met
         From `Tracer.intersect`.
     faces
-        Of the same tracer.
+        Faces of the same tracer.
     snapshot
-        Whose instances were placed.
+        Snapshot with the placed instances.
     surroundings
         Material of the level ground at height 0 (or 1 m below where a ray starts lower than that), seen by
         rays that go down and miss everything.
     sun_direction
         Unit vector toward the sun, ENU. [1]
     sheets
-        Materials of leaf cards, which the sun may light from behind.
+        Materials of leaf cards, which the sun may also light from behind.
     """
-    scene = _Scene(
-        vertices=faces.vertices,
-        corners=faces.corners,
-        start=faces.start,
-        material=faces.material,
-        transforms=np.asarray(snapshot.transforms, dtype=np.float64),
-        models=np.asarray(snapshot.model, dtype=np.int64),
-        paints=np.asarray(snapshot.paint, dtype=np.int16),
-        vehicle_ids=np.asarray(snapshot.vehicle_id, dtype=np.int32),
-        surroundings=np.int16(surroundings),
-        sun=np.asarray(sun_direction, dtype=np.float64),
-        sheets=np.asarray(sheets, dtype=np.bool_),
+    found = SurfaceHits.empty(len(directions))
+    instances = (
+        np.asarray(snapshot.transforms, dtype=np.float64),
+        np.asarray(snapshot.model, dtype=np.int64),
+        np.asarray(snapshot.paint, dtype=np.int16),
+        np.asarray(snapshot.vehicle_id, dtype=np.int32),
     )
-    found, starts = SurfaceHits.empty(len(directions)), np.asarray(origins, dtype=np.float64)
-    over_rows(_resolve, len(directions), starts, directions, met, scene, found, least=1024)
+    query = np.asarray(origins, dtype=np.float64), directions, met
+    light = np.int16(surroundings), np.asarray(sun_direction, np.float64), np.asarray(sheets, np.bool_)
+    over_rows(_resolve, len(directions), *query, faces, *instances, *light, found, least=1024)
     return found
 
 
-class _Scene(NamedTuple):
-    """Faces (`FaceTable`), instances (`Snapshot`), and the rest of `resolve`'s arguments, for the kernel."""
-
-    vertices: Float[Array, "vertex 3"]
-    corners: Int[Array, "face 3"]
-    start: Int[Array, "mesh"]
-    material: Int[Array, "face"]
-    transforms: Float[Array, "instance 3 4"]
-    models: Int[Array, "instance"]
-    paints: Int[Array, "instance"]
-    vehicle_ids: Int[Array, "instance"]
-    surroundings: np.int16
-    sun: Float[Array, "3"]
-    sheets: Bool[Array, "material"]
-
-
 @nb.njit(nogil=True, cache=True, error_model="numpy")
-def _resolve(start, stop, origins, directions, met, scene, found):
+def _resolve(
+    start, stop, origins, directions, met, faces, transforms, models, paints, vehicle_ids, surroundings, sun,
+    sheets, found,
+):  # fmt: skip
     """Hit point from barycentrics (not from o + t·d, which is too coarse for shadows), normal and ids."""
-    primitives, barycentrics = met.face, met.barycentric
-    vertices, transforms, sheets = scene.vertices, scene.transforms, scene.sheets
+    primitives, barycentrics, vertices = met.face, met.barycentric, faces.vertices
     point, normal, lifted = found.point, found.normal, found.lifted
-    sx, sy, sz = scene.sun[0], scene.sun[1], scene.sun[2]
+    sx, sy, sz = sun[0], sun[1], sun[2]
     last_face, last_instance = np.int64(-1), np.int64(-1)
     ax = ay = az = np.float32(0.0)
     ex = ey = ez = fx = fy = fz = gx = gy = gz = size = 0.0
@@ -290,50 +270,40 @@ def _resolve(start, stop, origins, directions, met, scene, found):
         found.vehicle_id[i], found.instance[i] = -1, -1
         found.range_m[i] = met.range_m[i]
         if primitives[i] == NO_HIT:
-            lens = origins[i if origins.shape[0] > 1 else 0]
-            reach = found.range_m[i : i + 1]
-            found.material[i] = _miss(lens, directions[i], scene.surroundings, point[i], normal[i], reach)
+            point[i], normal[i], found.material[i] = 0.0, 0.0, -1
+            if directions[i, 2] < 0:  # level ground beyond the scene's edge; else sky
+                lens = origins[i if origins.shape[0] > 1 else 0]
+                drop = max(lens[2], 1.0)
+                distance = -drop / directions[i, 2]
+                for c in range(2):
+                    point[i, c] = lens[c] + distance * directions[i, c]
+                point[i, 2], normal[i, 2] = lens[2] - drop, 1.0
+                found.range_m[i], found.material[i] = distance, surroundings
             for c in range(3):
                 lifted[i, c] = point[i, c] + SHADOW_OFFSET_M * normal[i, c]
             found.sun_cosine[i] = max(normal[i, 2] * sz, 0.0)
             continue
         instance = np.int64(met.slot[i]) - 1
-        mesh = 0 if instance < 0 else scene.models[instance] + 1
-        face, t = scene.start[mesh] + np.int64(primitives[i]), instance
+        mesh = 0 if instance < 0 else models[instance] + 1
+        face, t = faces.start[mesh] + np.int64(primitives[i]), instance
         if face != last_face or instance != last_instance:  # neighbours mostly meet the same
             last_face, last_instance = face, instance
-            a, b, c = scene.corners[face, 0], scene.corners[face, 1], scene.corners[face, 2]
+            a, b, c = faces.corners[face, 0], faces.corners[face, 1], faces.corners[face, 2]
             ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
             ex, ey = _double(vertices[b, 0] - ax), _double(vertices[b, 1] - ay)
             fx, fy = _double(vertices[c, 0] - ax), _double(vertices[c, 1] - ay)
             ez, fz = _double(vertices[b, 2] - az), _double(vertices[c, 2] - az)
             gx, gy, gz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
             if instance >= 0:  # a rotation and a uniform scale: the normal turns as the body does
-                gx, gy, gz = (
-                    transforms[t, 0, 0] * gx + transforms[t, 0, 1] * gy + transforms[t, 0, 2] * gz,
-                    transforms[t, 1, 0] * gx + transforms[t, 1, 1] * gy + transforms[t, 1, 2] * gz,
-                    transforms[t, 2, 0] * gx + transforms[t, 2, 1] * gy + transforms[t, 2, 2] * gz,
-                )
+                gx, gy, gz = turn_vector(transforms[t], gx, gy, gz)
             size = math.sqrt(gx * gx + gy * gy + gz * gz)
         nx, ny, nz, length = gx, gy, gz, size
         u, v = _double(barycentrics[i, 0]), _double(barycentrics[i, 1])
         px, py, pz = ax + u * ex + v * fx, ay + u * ey + v * fy, az + u * ez + v * fz
         if instance >= 0:
-            px, py, pz = (
-                transforms[t, 0, 0] * px
-                + transforms[t, 0, 1] * py
-                + transforms[t, 0, 2] * pz
-                + transforms[t, 0, 3],
-                transforms[t, 1, 0] * px
-                + transforms[t, 1, 1] * py
-                + transforms[t, 1, 2] * pz
-                + transforms[t, 1, 3],
-                transforms[t, 2, 0] * px
-                + transforms[t, 2, 1] * py
-                + transforms[t, 2, 2] * pz
-                + transforms[t, 2, 3],
-            )
-            found.vehicle_id[i], found.instance[i] = scene.vehicle_ids[instance], instance
+            px, py, pz = turn_vector(transforms[t], px, py, pz)
+            px, py, pz = px + transforms[t, 0, 3], py + transforms[t, 1, 3], pz + transforms[t, 2, 3]
+            found.vehicle_id[i], found.instance[i] = vehicle_ids[instance], instance
         dx, dy, dz = _double(directions[i, 0]), _double(directions[i, 1]), _double(directions[i, 2])
         if length == 0.0:  # a sliver without area has no normal: let it face the camera
             nx, ny, nz, length = -dx, -dy, -dz, 1.0
@@ -341,8 +311,8 @@ def _resolve(start, stop, origins, directions, met, scene, found):
         nx, ny, nz = scale * nx, scale * ny, scale * nz
         point[i, 0], point[i, 1], point[i, 2] = px, py, pz
         normal[i, 0], normal[i, 1], normal[i, 2] = nx, ny, nz
-        m = scene.material[face]
-        m = m if m >= 0 else scene.paints[instance]
+        m = faces.material[face]
+        m = m if m >= 0 else paints[instance]
         found.material[i] = m
         cosine = nx * sx + ny * sy + nz * sz
         side = SHADOW_OFFSET_M
@@ -355,16 +325,11 @@ def _resolve(start, stop, origins, directions, met, scene, found):
         lifted[i, 0], lifted[i, 1], lifted[i, 2] = px + side * nx, py + side * ny, pz + side * nz
 
 
-@nb.njit(cache=True, error_model="numpy")
-def _miss(lens, d, surroundings, point, normal, range_m):
-    """Level ground beyond the scene's edge below the horizon, sky above; returns the material."""
-    if d[2] >= 0:
-        point[:] = 0.0
-        normal[:] = 0.0
-        return np.int16(-1)
-    drop = max(lens[2], 1.0)
-    distance = -drop / d[2]
-    range_m[0] = distance
-    point[0], point[1], point[2] = lens[0] + distance * d[0], lens[1] + distance * d[1], lens[2] - drop
-    normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
-    return surroundings
+@nb.njit(cache=True, forceinline=True)
+def turn_vector(m, x, y, z):
+    """Rotate and scale a vector by the first three columns of a transform."""
+    return (
+        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z,
+        m[1, 0] * x + m[1, 1] * y + m[1, 2] * z,
+        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z,
+    )

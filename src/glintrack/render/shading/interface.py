@@ -1,16 +1,16 @@
-"""Interface of a surface along one ray: mirror image, the lobe gathered around it, polarized first surfaces.
+"""Interface of a surface along one ray: mirror image, lobe around it, and polarized first surfaces.
 
-The part of a base's light that first surfaces of all tilts polarize, where a base has one: Umov's law.
+Polarization of a base by first surfaces of all tilts follows Umov's law.
 
     R_p = C exp(−tan α) ½(Rs − Rp)(α, n = 1.5) / (4 (cos θs + cos θv)),
 
-α half the phase angle: polarized reflectance as Maignan et al. fitted it to what PARASOL saw of land (Eq.
-21, with e^−NDVI in C). It has no wavelength: the degree times the reflectance is the same at each, which is
-Umov's law. Light is polarized across the plane of sun and look, and not at all toward the sun's own
-direction. Intensity stays that of the base: only the sun's light is polarized, and only what is looked at
-directly. What was fitted is all that a surface polarizes: what its interface's facets reflect of the sun to
-the same side (`rough.add_glint`) is taken off, to nothing at least. Where cos θs + cos θv is under ½, both
-near grazing, where nothing was measured, it counts as ½.
+α half the phase angle: polarized reflectance as Maignan et al. fitted it to PARASOL's measurements of land
+(Eq. 21, with e^−NDVI in C). It does not depend on wavelength: degree times reflectance is constant, which is
+Umov's law. Light is polarized across the plane of sun and look, and not at all toward the sun's direction.
+Intensity stays that of the base. Only the sun's light is polarized, and only on directly visible surfaces.
+The fit holds for all that a surface polarizes. The reflection of the sun by its interface's facets
+(`rough.add_glint`) is therefore subtracted, down to 0. A sum cos θs + cos θv under ½, both near grazing,
+without measurements, counts as ½.
 
 References
 ----------
@@ -18,16 +18,13 @@ Maignan, Bréon, Fédèle and Bouvier, Remote Sensing of Environment 113, 2642 (
 """
 
 import math
-from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-from jaxtyping import Float, Int
 
-from glintrack.core.arrays import Array
 from glintrack.render.light.lattice import OPEN
 from glintrack.render.light.sky import LEVEL_NODE, NORMAL_NODES, look_up, north_axis, square_cell
-from glintrack.render.shading.diffuse import off_surfaces, read_cell, through_air
+from glintrack.render.shading.diffuse import blend_cell, fill_air_row, surface_gain
 from glintrack.render.shading.materials import facet_lobe, fresnel
 from glintrack.render.shading.rough import (
     ABOVE,
@@ -41,7 +38,7 @@ from glintrack.render.shading.rough import (
 )
 from glintrack.stokes import axis_turn, rotate_qu
 
-FACETS_KEPT = 128  # a power of two; a row of a frame shows more, several times each
+CACHED_FACETS = 128  # a power of two; a row of a frame has more, several times each
 _MIX_X, _MIX_Y, _MIX_Z = 40993.0, 79193.0, 15437.0  # spread the normals over the slots
 
 
@@ -49,13 +46,12 @@ _MIX_X, _MIX_Y, _MIX_Z = 40993.0, 79193.0, 15437.0  # spread the normals over th
 def gather_around(nx, ny, nz, optical, terms, r, c, rough, at, facet):
     """Interpolate the table of rough reflection to a facet's normal, at each of the four looks around.
 
-    Facets are met again in the next row: ``facet`` keeps some, in the slot that is returned, and ``at`` says
-    which.
+    The next row meets the same facets: ``facet`` holds some, with keys in ``at``. Return the facet's slot.
     """
     row_low, column_low = rough.grid.row_low[r], rough.grid.column_low[c]
     rows, columns = rough.grid.direction.shape[:2]
     place = float(row_low * columns + column_low)
-    slot = int(abs(nx * _MIX_X + ny * _MIX_Y + nz * _MIX_Z) + optical * 11 + place * 5) & (FACETS_KEPT - 1)
+    slot = int(abs(nx * _MIX_X + ny * _MIX_Y + nz * _MIX_Z) + optical * 11 + place * 5) & (CACHED_FACETS - 1)
     known = at[slot, 0] == optical and at[slot, 1] == place
     if known and at[slot, 2] == nx and at[slot, 3] == ny and at[slot, 4] == nz:
         return slot
@@ -81,11 +77,11 @@ def gather_around(nx, ny, nz, optical, terms, r, c, rough, at, facet):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def add_gathered(around, terms, skies, r, c, rough, facet, slot, mixed, mirrored):
-    """Interpolate between the looks around, and add what sun, surroundings and sky send.
+def add_gathered(around, terms, amounts, skies, r, c, rough, facet, slot, mixed, mirrored):
+    """Interpolate between the looks around, and add the light of sun, surroundings and sky.
 
-    ``around`` is the weight of the reflection, what `diffuse.mirrored_here` says of the place, and the
-    part of the sun that arrives. [1]
+    ``around`` is the weight of the reflection, the result of `diffuse.mirror_place`, and the transmittance of
+    the sun's light. [1] Return I, Q and U off surfaces of radiance 1, for Fresnel terms of some ``amounts``.
     """
     weight, (sky_view, off_mean), sunlight = around
     row_part, column_part = rough.grid.row_part[r], rough.grid.column_part[c]
@@ -94,7 +90,7 @@ def add_gathered(around, terms, skies, r, c, rough, facet, slot, mixed, mirrored
     w00 = np.float32(weight) - w10 - w01 - w11
     sky, glint = np.float32(sky_view), np.float32(sunlight)
     below, above = np.float32(off_mean), np.float32((1.0 - sky_view) * off_mean)
-    side = terms if rough.grid.direction.shape[1] > 1 else 0
+    side, i, q, u = terms if rough.grid.direction.shape[1] > 1 else 0, 0.0, 0.0, 0.0
     for term in range(terms):
         for x in range(facet.shape[3]):
             low = w00 * facet[slot, 0, term, x] + w01 * facet[slot, 0, side + term, x]
@@ -106,69 +102,31 @@ def add_gathered(around, terms, skies, r, c, rough, facet, slot, mixed, mirrored
         for e in range(skies):
             for s in range(3):
                 mirrored[to + 2 + e, s] += sky * mixed[3 * (SKY + e) + s]
-
-
-@nb.njit(cache=True, fastmath=True, forceinline=True)
-def gathered_off_sky(lobe, r, c, rough, facet, slot):
-    """I, Q and U of what is gathered off surfaces, if all of them send a radiance of 1.
-
-    ``lobe`` is the weight of the reflection, what of the sky is mirrored, and the number of Fresnel terms and
-    their amounts. [1]
-    """
-    weight, sky_view, terms, amounts = lobe
-    row_part, column_part = rough.grid.row_part[r], rough.grid.column_part[c]
-    side = terms if rough.grid.direction.shape[1] > 1 else 0
-    i, q, u = 0.0, 0.0, 0.0
-    for term in range(terms):
-        for near in range(2):
-            for right in range(2):
-                part = (row_part if near else 1.0 - row_part) * (column_part if right else 1.0 - column_part)
-                row = facet[slot, near, term + right * side]
-                above, below = weight * amounts[term] * part * (1.0 - sky_view), weight * amounts[term] * part
-                i += above * row[3 * ABOVE] + below * row[3 * BELOW]
-                q += above * row[3 * ABOVE + 1] + below * row[3 * BELOW + 1]
-                u += above * row[3 * ABOVE + 2] + below * row[3 * BELOW + 2]
+        i += amounts[term] * ((1.0 - sky_view) * mixed[3 * ABOVE] + mixed[3 * BELOW])
+        q += amounts[term] * ((1.0 - sky_view) * mixed[3 * ABOVE + 1] + mixed[3 * BELOW + 1])
+        u += amounts[term] * ((1.0 - sky_view) * mixed[3 * ABOVE + 2] + mixed[3 * BELOW + 2])
     return i, q, u
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def set_path(where, path, share, at, here, width, total):
-    """Begin with path radiance, interpolated between rows and columns of the frame.
-
-    ``here`` holds it at the column before and after, for the row and column in ``at``.
-    """
+def set_path(where, path, share, width, total):
+    """Begin with path radiance, interpolated between rows and columns of the frame."""
     row_low, row_part, column_low, column_part = where
-    column_high = min(column_low + 1, path.shape[1] - 1)
     row_high = min(row_low + 1, path.shape[0] - 1)
-    raised, cell = np.float32(row_part), float(row_low * path.shape[1] + column_low)
-    if at[0] != cell or at[1] != row_part:
-        at[0], at[1] = cell, row_part
-        for side in range(2):
-            column = column_high if side else column_low
-            for s in range(3):
-                for x in range(width):
-                    low, high = path[row_low, column, s, x], path[row_high, column, s, x]
-                    here[side, s, x] = low + raised * (high - low)
-    right = np.float32(share * column_part)
+    column_high = min(column_low + 1, path.shape[1] - 1)
+    raised, right = np.float32(row_part), np.float32(share * column_part)
     left = np.float32(share) - right
     for s in range(3):
         for x in range(width):
-            total[s, x] = left * here[0, s, x] + right * here[1, s, x]
-
-
-class Lights(NamedTuple):
-    """What lights bases, `Light.lit`, and what of it `through_air` keeps for one airmass."""
-
-    lit: Float[Array, "airmass row light channel"]
-    step: int
-    known_step: Int[Array, "row"]
-    here: Float[Array, "row light channel"]
-    width: int
+            low, before = path[row_low, column_low, s, x], path[row_low, column_high, s, x]
+            here = low + raised * (path[row_high, column_low, s, x] - low)
+            after = before + raised * (path[row_high, column_high, s, x] - before)
+            total[s, x] = left * here + right * after
 
 
 @nb.njit(cache=True, forceinline=True)
-def mirrored_once(hit, weight, optical, terms, surfaces, axis):
-    """I, Q and U that a smooth surface mirrors of unpolarized light 1."""
+def mirror_unit_light(hit, weight, optical, terms, surfaces, axis):
+    """I, Q and U of unpolarized light 1 after reflection by a smooth surface."""
     c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, axis)[3:]
     intensity, polarized = 0.0, 0.0
     for term in range(terms):
@@ -180,10 +138,10 @@ def mirrored_once(hit, weight, optical, terms, surfaces, axis):
 
 
 @nb.njit(cache=True, forceinline=True)
-def mirror_base(hit, mirrored, rays, light, lights, scratch):
-    """Add the base of what a surface shows, lit by sun, sky and surroundings.
+def mirror_base(hit, mirrored, rays, step, width, light, scratch):
+    """Add the mirrored base, lit by sun, sky and surroundings.
 
-    ``mirrored`` are I, Q and U that it mirrors of unpolarized light 1.
+    ``mirrored`` are I, Q and U of unpolarized light 1 after the reflection.
     """
     there, cell = int(rays.mirror_material[hit.ray]), rays.mirror_cell[hit.ray]
     base, around, total = scratch.base, scratch.around, scratch.total
@@ -191,9 +149,8 @@ def mirror_base(hit, mirrored, rays, light, lights, scratch):
     sky_view = rays.mirror_sky[hit.ray]
     if cell != OPEN:
         part, here = rays.mirror_part[hit.ray], rays.mirror_here[hit.ray]
-        left, off = rays.mirror_left[hit.ray] / 255.0, off_surfaces(here, sky_view)
-        read_cell((cell, part[0], part[1]), False, here, (off, off), rays.probe_cells, light.probes, around)
-        scratch.faced[0] = 2.0
+        left, off = rays.mirror_left[hit.ray] / 255.0, surface_gain(here, sky_view)
+        blend_cell((cell, part[0], part[1]), False, here, (off, off), rays.probe_cells, light.probes, around)
         base[1] = 0.0 if light.followed else (1.0 - sky_view) / math.pi
         for k in range(base.shape[0] - 2):
             base[2 + k] = left * around[k] / math.pi
@@ -201,9 +158,9 @@ def mirror_base(hit, mirrored, rays, light, lights, scratch):
         base[1] = (1.0 - sky_view) / math.pi
         for k in range(base.shape[0] - 2):
             base[2 + k] = sky_view / math.pi * light.irradiance[LEVEL_NODE, k]
-    here = lights.here
-    through_air(lights.lit, lights.step, there, lights.known_step, here, lights.width)
-    for c in range(lights.width):
+    here = scratch.lit_here
+    fill_air_row(light.lit, step, there, scratch.lit_step, here, width)
+    for c in range(width):
         shining = 0.0
         for e in range(here.shape[1]):
             shining += base[e] * here[there, e, c]
@@ -214,7 +171,7 @@ def mirror_base(hit, mirrored, rays, light, lights, scratch):
 
 @nb.njit(cache=True, forceinline=True)
 def mirror_sky(hit, weight, optical, terms, fresnel, axis, sky_map, radiance, mirrored):
-    """Add the sky that a smooth surface shows, or the surroundings if it looks down."""
+    """Add the mirrored sky of a smooth surface, or the surroundings for a ray that goes down."""
     dx, dy, dz, nx, ny, nz, cosine = hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, hit.cos_view
     rx, ry, rz = dx + 2 * cosine * nx, dy + 2 * cosine * ny, dz + 2 * cosine * nz
     sx, sy, sz, c_out, s_out = plane_of_incidence(dx, dy, dz, nx, ny, nz, axis)
@@ -237,8 +194,8 @@ def mirror_sky(hit, weight, optical, terms, fresnel, axis, sky_map, radiance, mi
 
 
 @nb.njit(cache=True, forceinline=True)
-def sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own):
-    """Coefficients of a ray that looks at the sky."""
+def fill_sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own):
+    """Write the coefficients of a ray of look to the sky."""
     look_up(sky_map, dx, dy, dz, radiance)
     fx, fy, fz = north_axis(dx, dy, dz)
     c, s = axis_turn(fx, fy, fz, axis[0], axis[1], axis[2], -dx, -dy, -dz)

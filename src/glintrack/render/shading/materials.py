@@ -1,4 +1,4 @@
-"""Polarized reflection at a surface, and materials as the pixel kernel reads them.
+"""Polarized reflection at a surface, and material tables for the pixel kernel.
 
 Kernels for numba; all take scalars. A Mueller matrix of reflection has only four different elements in the
 ``pixels`` frame (0° perpendicular to the plane of incidence): m00 = m11 = ½(Rs+Rp), m01 = ½(Rs−Rp),
@@ -9,20 +9,20 @@ shadowing–masking; or ``priest_germer``, the Gaussian model of the polarimetri
 (Priest and Germer, "Polarimetric BRDF in the microfacet model", Military Sensing Symposia, 2000;
 their σ² is α²/2). The base under the facets depolarizes: Lambert, or Oren–Nayar.
 
-Fresnel's matrix elements of a material, F(λ, θ), become Σ_j a_j(λ) g_j(θ) with one to six terms, so that a
-refractive index that runs with the wavelength costs a few more coefficients and no further pass.
+Fresnel's matrix elements of a material, F(λ, θ), become Σ_j a_j(λ) g_j(θ) with one to six terms, so that
+dispersion costs only a few more coefficients.
 
-The base under an interface of weight w gets what the interface does not reflect, on the way in and on the
-way out: f = ρ/π · T(θv) T(θl)/T̄ with T = 1 − w E, where E(θ) is the interface's directional albedo and T̄
-the mean of T over a uniform sky. This is reciprocal, and a white base under any interface returns all light
+The base under an interface of weight w gets the light that the interface does not reflect, on the way in and
+on the way out: f = ρ/π · T(θv) T(θl)/T̄ with T = 1 − w E, where E(θ) is the interface's directional albedo and
+T̄ the mean of T over a uniform sky. This is reciprocal, and a white base under any interface returns all light
 (Kelemen and Szirmay-Kalos, "A Microfacet Based Coupled Specular-Matte BRDF Model", Eurographics 2001).
 
-What leaves is unpolarized inside and refracted on its way out. In equilibrium nothing is polarized: a white
-base and its interface in an even, unpolarized glow send unpolarized light. So what the base sends out is
-short of s-polarized light by as much as the interface reflects, w D with D(θ) the directional albedo of
-½(Rs − Rp) about the mean normal, and has the degree w D/(1 − w E), p-polarized. For a smooth interface that
-is (Rs − Rp)/(2 − Rs − Rp); a rough one is averaged over the same facets as its reflection. Where w < 1 the
-rest of the surface has no interface and mixes in unpolarized light. Below a metal there is no light.
+Light of the base is unpolarized inside and refracted on its way out. In equilibrium nothing is polarized: a
+white base and its interface in even, unpolarized light send unpolarized light. The base's light therefore
+lacks the s-polarized light that the interface reflects, w D with D(θ) the directional albedo of ½(Rs − Rp)
+about the mean normal, and has the degree w D/(1 − w E), p-polarized. For a smooth interface that is (Rs −
+Rp)/(2 − Rs − Rp). A rough one is averaged over the same facets as its reflection. With w < 1 the rest of the
+surface has no interface and adds unpolarized light. Below a metal there is no light.
 """
 
 import math
@@ -108,7 +108,7 @@ def facet_density(distribution, cos_half, alpha):
 
 @nb.njit(cache=True)
 def masking(distribution, cosine, alpha):
-    """Smith's G1: the part of the microfacets that a direction sees. [1]
+    """Smith's G1: the visible part of the microfacets from a direction. [1]
 
     References
     ----------
@@ -130,7 +130,7 @@ def masking(distribution, cosine, alpha):
 
 @nb.njit(cache=True)
 def facet_lobe(distribution, cos_half, cos_view, cos_light, alpha):
-    """D·G/(4 cos θv cos θl): what facets of reflectance 1 send from the light to the view. [sr⁻¹]"""
+    """D·G/(4 cos θv cos θl): reflection from the light to the view by facets of reflectance 1. [sr⁻¹]"""
     shadow = masking(distribution, cos_view, alpha) * masking(distribution, cos_light, alpha)
     if shadow == 0.0:
         return 0.0
@@ -138,8 +138,8 @@ def facet_lobe(distribution, cos_half, cos_view, cos_light, alpha):
 
 
 @nb.njit(cache=True, forceinline=True)
-def sampled_facet(distribution, vx, vy, vz, alpha, u, v):
-    """One facet normal (local frame, z up), and the weight to give to what it mirrors toward the view.
+def sample_facet(distribution, vx, vy, vz, alpha, u, v):
+    """Draw a facet normal (local frame, z up), and the weight of its reflection toward the view.
 
     Parameters
     ----------
@@ -154,14 +154,29 @@ def sampled_facet(distribution, vx, vy, vz, alpha, u, v):
 
     Returns
     -------
-    Normal x, y, z, and a weight whose mean over the square, times Fresnel's matrix, is the light reflected
-    from a uniform unit hemisphere. GGX normals are drawn as the view sees them, the others by area.
+    Normal x, y, z, and a weight. Its mean over the square, times Fresnel's matrix, is the light reflected
+    from a uniform unit hemisphere. GGX normals are drawn by visible area, the others by area.
+
+    References
+    ----------
+    Heitz, "Sampling the GGX Distribution of Visible Normals", JCGT 7(4), 2018.
     """
     radius, turn = math.sqrt(u), 2.0 * math.pi * v
     cos_turn, sin_turn = math.cos(turn), math.sin(turn)
     if distribution == GGX:
-        hx, hy, hz = visible_normal(vx, vy, vz, alpha, radius * cos_turn, radius * sin_turn)
-        seen = 1.0
+        wx, wy, wz = alpha * vx, alpha * vy, vz
+        norm = 1.0 / math.sqrt(wx * wx + wy * wy + wz * wz)
+        wx, wy, wz = wx * norm, wy * norm, wz * norm
+        across = math.sqrt(wx * wx + wy * wy)
+        t1x, t1y = (-wy / across, wx / across) if across > 1e-7 else (1.0, 0.0)
+        a, s = radius * cos_turn, 0.5 * (1.0 + wz)
+        b = (1.0 - s) * math.sqrt(1.0 - a * a) + s * radius * sin_turn
+        c = math.sqrt(max(0.0, 1.0 - a * a - b * b))
+        hx = alpha * (a * t1x - b * wz * t1y + c * wx)
+        hy = alpha * (a * t1y + b * wz * t1x + c * wy)
+        hz = max(1e-6, b * (wx * t1y - wy * t1x) + c * wz)
+        norm = 1.0 / math.sqrt(hx * hx + hy * hy + hz * hz)
+        hx, hy, hz, seen = hx * norm, hy * norm, hz * norm, 1.0
     else:
         tangent = alpha * math.sqrt(-math.log(1.0 - u))
         hz = 1.0 / math.sqrt(1.0 + tangent * tangent)
@@ -173,43 +188,6 @@ def sampled_facet(distribution, vx, vy, vz, alpha, u, v):
     if distribution != GGX:
         seen *= cosine
     return hx, hy, hz, seen * masking(distribution, 2.0 * cosine * hz - vz, alpha)
-
-
-@nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, forceinline=True)
-def visible_normal(vx, vy, vz, alpha, a, b):
-    """One microfacet normal, drawn as the view direction sees them (local frame, z up). [1]
-
-    Parameters
-    ----------
-    vx, vy, vz
-        View direction. [1]
-    alpha
-        GGX roughness. [1]
-    a, b
-        A point of the unit disc, evenly distributed over its area. [1]
-
-    References
-    ----------
-    Heitz, "Sampling the GGX Distribution of Visible Normals", JCGT 7(4), 2018.
-    """
-    hx, hy, hz = alpha * vx, alpha * vy, vz
-    norm = 1.0 / math.sqrt(hx * hx + hy * hy + hz * hz)
-    hx, hy, hz = hx * norm, hy * norm, hz * norm
-    across2 = hx * hx + hy * hy
-    if across2 > 1e-14:
-        inverse = 1.0 / math.sqrt(across2)
-        t1x, t1y = -hy * inverse, hx * inverse
-    else:
-        t1x, t1y = 1.0, 0.0
-    t2x, t2y, t2z = -hz * t1y, hz * t1x, hx * t1y - hy * t1x
-    s = 0.5 * (1.0 + hz)
-    b = (1.0 - s) * math.sqrt(1.0 - a * a) + s * b
-    c = math.sqrt(max(0.0, 1.0 - a * a - b * b))
-    nx = alpha * (a * t1x + b * t2x + c * hx)
-    ny = alpha * (a * t1y + b * t2y + c * hy)
-    nz = max(1e-6, b * t2z + c * hz)
-    norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
-    return nx * norm, ny * norm, nz * norm
 
 
 @nb.njit(cache=True)
@@ -237,12 +215,13 @@ def oren_nayar(cos_view, cos_light, cos_azimuth, slope_rad):
     return 1.0 - 0.5 * s2 / (s2 + 0.33) + steep
 
 
-COSINES = np.linspace(0.0, 1.0, 257)  # nodes of every table over angle; linear between is good to 1e-5
+_INTERVALS = 256  # of every table over angle; linear interpolation is good to 1e-5
+COSINES = np.linspace(0.0, 1.0, _INTERVALS + 1)
 MIRROR_ROUGHNESS = 0.1  # GGX α below which a surface's lobe is narrow enough to follow with one ray
-REFERENCE_UM = 0.65  # where energy left to the base is reckoned, and scalar indices hold
+REFERENCE_UM = 0.65  # of the base's energy and of scalar indices
 _TERMS = 6
 _TERM_ERROR = 3e-4  # of reflectance, left out of a dispersive material
-_OPAQUE = 0.02  # extinction index from which light is gone within some wavelengths, so that none comes back
+_OPAQUE = 0.02  # extinction index from which no light comes back from below the interface
 _ALBEDO_COSINES = 33
 _ALBEDO_SAMPLES = 512
 
@@ -255,22 +234,22 @@ class MaterialTables(NamedTuple):
     optics
         Optical class of each material.
     weight, mottle, groove, polarized
-        Specular weight, mottle [1], slope of Oren–Nayar's grooves [rad], and scale of what the base
-        polarizes by itself (`polarized_base`) [1] of each material.
+        Specular weight, mottle [1], slope of Oren–Nayar's grooves [rad], and scale of the base's own
+        polarization (`polarized_base`) [1] of each material.
     leaf
-        Whether a material lets light through.
+        True for a material that transmits light.
     alpha, distribution, terms
         Roughness, facet model (index into `DISTRIBUTIONS`) and number of Fresnel terms of each class.
     fresnel
         m00, m01, m22 of each term over `COSINES`.
     dispersion, reference
-        a_j(λ) of each class on the grid asked for, and at `REFERENCE_UM`.
+        a_j(λ) of each class on the wavelengths, and at `REFERENCE_UM`.
     albedo
         Directional albedo E of each class over `COSINES`.
     at_angle
-        Over the view's cosine: what multiplies ρ/π of the base under the sun, T/√T̄ (to be multiplied by the
-        same of the light's), and under the sky, T times the albedo of grooves; what the interface returns,
-        w E; and the degree to which light of the base leaves p-polarized.
+        Over the view's cosine: factor of ρ/π of the base under the sun, T/√T̄ (to be multiplied by the same of
+        the light's cosine), and under the sky, T times the albedo of grooves; reflection of the interface,
+        w E; and degree of p-polarization of the base's light.
     """
 
     optics: Int[Array, "material"]
@@ -290,7 +269,7 @@ class MaterialTables(NamedTuple):
 
 
 def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "wavelength"]) -> MaterialTables:
-    """Unpack a dataset of schema ``materials`` for wavelengths inside its range.
+    """Convert a dataset of schema ``materials`` to tables for wavelengths inside its range.
 
     Optional variables: ``distribution`` (index into `materials.DISTRIBUTIONS`), ``groove_slope`` [rad],
     ``polarized_base``.
@@ -301,15 +280,20 @@ def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "waveleng
             return materials[name].values.astype(float)
         return np.zeros(materials.sizes["material"])
 
-    index, extinction = (_over_wavelength(materials, n, wavelength_um) for n in ("refractive", "extinction"))
-    alpha, distribution, weight = (
-        column("roughness"),
-        column("distribution").astype(int),
-        column("specular_weight"),
-    )
+    def over_wavelength(name: str) -> Array:
+        """Index of each material on the grid."""
+        if f"{name}_spectrum" not in materials:
+            return np.repeat(column(name)[:, None], len(wavelength_um), axis=1)
+        table = materials["wavelength"].values.astype(float)
+        rows = materials[f"{name}_spectrum"].values.astype(float)
+        return np.stack([np.interp(wavelength_um, table, row) for row in rows])
+
+    index, extinction = over_wavelength("refractive_index"), over_wavelength("extinction_index")
+    facets = column("roughness"), column("distribution").astype(int)
+    weight, groove = column("specular_weight"), column("groove_slope")
     keys = [
         (n.tobytes(), k.tobytes(), float(a), int(s))
-        for n, k, a, s in zip(index, extinction, alpha, distribution, strict=True)
+        for n, k, a, s in zip(index, extinction, *facets, strict=True)
     ]
     classes = list(dict.fromkeys(keys))
     optics = np.array([classes.index(key) for key in keys])
@@ -321,17 +305,19 @@ def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "waveleng
     ], axis=1)  # fmt: skip
     passed = 1.0 - weight[:, None] * albedo[optics]
     clear = np.array([k < _OPAQUE for _, k in indices])
-    leaving = _exit_degree(passed, weight[:, None] * (clear[:, None] * polarized)[optics])
+    polarized = weight[:, None] * (clear[:, None] * polarized)[optics]
+    leaving = np.divide(polarized, passed, out=np.zeros_like(passed), where=passed > 0)
+    leaving[:, 0] = leaving[:, 1]  # at grazing no light leaves
     mean = 2 * np.trapezoid(COSINES * passed, COSINES, axis=1)
-    groove = column("groove_slope")
-    grooved = np.stack([_grooved_albedo(float(g)) for g in groove])
+    grooved = np.stack([_groove_albedo(float(g)) for g in groove])
+    leaf = materials["transmittance"].values.max(axis=1) > 0 if "transmittance" in materials else optics < 0
     return MaterialTables(
         optics=optics.astype(np.int64),
         weight=weight,
         mottle=column("mottle"),
         groove=groove,
         polarized=column("polarized_base"),
-        leaf=_lets_through(materials),
+        leaf=leaf,
         alpha=np.array([a for _, _, a, _ in classes]),
         distribution=np.array([s for *_, s in classes]),
         terms=np.array([t for t, _, _ in parts]),
@@ -340,47 +326,30 @@ def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "waveleng
         reference=np.stack([a[:, reference] for _, _, a in parts]),
         albedo=np.ascontiguousarray(albedo, np.float32),  # of one layout, or the kernels compile twice
         at_angle=np.stack(
-            [passed / np.sqrt(mean)[:, None], passed * grooved, 1 - passed, leaving], -1
+            [passed / np.sqrt(mean)[:, None], passed * grooved, 1 - passed, np.clip(leaving, 0, 1)], -1
         ).astype(np.float32),
     )
 
 
-def _exit_degree(passed: Array, polarized: Array) -> Float[Array, "material cosine"]:
-    """Degree to which light of the base leaves p-polarized; at grazing, where none leaves, its limit."""
-    degree = np.divide(polarized, passed, out=np.zeros_like(passed), where=passed > 0)
-    degree[:, 0] = degree[:, 1]
-    return np.clip(degree, 0.0, 1.0)
-
-
-def _lets_through(materials: xr.Dataset) -> Bool[Array, "material"]:
-    if "transmittance" not in materials:
-        return np.zeros(materials.sizes["material"], np.bool_)
-    return materials["transmittance"].values.max(axis=1) > 0
+@nb.njit(cache=True, forceinline=True)
+def between_cosines(cosine):
+    """Node of `COSINES` before a cosine, and the part toward the next."""
+    x = min(max(cosine, 0.0), 1.0) * _INTERVALS
+    node = min(int(x), _INTERVALS - 1)
+    return node, x - node
 
 
 @nb.njit(cache=True)
 def over_cosine(tables, row, cosine):
-    """Linear look-up in one row of tables over `COSINES`."""
-    x = min(max(cosine, 0.0), 1.0) * (tables.shape[1] - 1)
-    i = min(int(x), tables.shape[1] - 2)
-    part = x - i
-    return tables[row, i] + part * (tables[row, i + 1] - tables[row, i])
-
-
-def _over_wavelength(materials: xr.Dataset, name: str, wavelength_um: Array) -> Array:
-    """Index of each material on the grid."""
-    if f"{name}_index_spectrum" not in materials:
-        constant = materials[f"{name}_index"].values.astype(float)
-        return np.repeat(constant[:, None], len(wavelength_um), axis=1)
-    table = materials["wavelength"].values.astype(float)
-    rows = materials[f"{name}_index_spectrum"].values.astype(float)
-    return np.stack([np.interp(wavelength_um, table, row) for row in rows])
+    """Interpolate linearly in one row of tables over `COSINES`."""
+    node, part = between_cosines(cosine)
+    return tables[row, node] + part * (tables[row, node + 1] - tables[row, node])
 
 
 @lru_cache(maxsize=256)
 def _fresnel_terms(index: bytes, extinction: bytes) -> tuple[int, Array, Array]:
-    """Number of terms, g (term, cosine, 3) and a (term, wavelength)."""
-    n, k = np.frombuffer(index).copy(), np.frombuffer(extinction).copy()  # as those of `_albedo`: writeable
+    """Separate Fresnel's elements: number of terms, g (term, cosine, 3) and a (term, wavelength)."""
+    n, k = np.frombuffer(index).copy(), np.frombuffer(extinction).copy()  # writeable, as those of `_albedo`
     shapes, shares = np.zeros((_TERMS, len(COSINES), 3)), np.zeros((_TERMS, len(n)))
     if np.ptp(n) == 0 and np.ptp(k) == 0:
         shapes[0], shares[0] = _fresnel_over_cosine(n[:1], k[:1])[0], 1.0
@@ -414,29 +383,29 @@ def sample_square(count: int) -> Float[Array, "sample 2"]:
 
 @lru_cache(maxsize=256)
 def _albedo(n: float, k: float, alpha: float, distribution: int) -> Float[Array, "2 cosine"]:
-    """I and Q (> 0: s) that an interface returns of an even unpolarized glow, by the cosine of direction."""
+    """I and Q (> 0: s) of an even, unpolarized sky after reflection, by the cosine of direction. [1]"""
     if alpha < MIRROR_ROUGHNESS and distribution == GGX:
         return _fresnel_over_cosine(np.array([n]), np.array([k]))[0, :, :2].T
     coarse = np.empty((_ALBEDO_COSINES, 2))
-    # nodes crowd toward grazing, where the albedo turns
+    # denser nodes toward grazing, with the largest curvature
     at = np.linspace(0, 1, _ALBEDO_COSINES) ** 2
-    over_rows(_sampled_albedo, len(at), at, n, k, alpha, distribution, sample_square(_ALBEDO_SAMPLES), coarse)
+    over_rows(_sample_albedo, len(at), at, n, k, alpha, distribution, sample_square(_ALBEDO_SAMPLES), coarse)
     return np.minimum([np.interp(COSINES, at, column) for column in coarse.T], 1.0)
 
 
 @nb.njit(nogil=True, cache=True)
-def _sampled_albedo(start, stop, cosines, n, k, alpha, distribution, samples, out):
+def _sample_albedo(start, stop, cosines, n, k, alpha, distribution, samples, out):
     for i in range(start, stop):
         c = max(cosines[i], 1e-3)
         across = math.sqrt(1.0 - c * c)
         total, polarized = 0.0, 0.0
         for j in range(samples.shape[0]):
-            hx, hy, hz, weight = sampled_facet(
+            hx, hy, hz, weight = sample_facet(
                 distribution, across, 0.0, c, alpha, samples[j, 0], samples[j, 1]
             )
             if weight > 0.0:
                 m00, m01, _ = fresnel(across * hx + c * hz, n, k)
-                # the facet's s axis, view × facet, beside the mean plane's, which is y
+                # from the facet's s axis, view × facet, to that of the mean plane, which is y
                 turn, _ = axis_turn(-c * hy, c * hx - across * hz, across * hy, 0.0, 1.0, 0.0, across, 0.0, c)
                 total += weight * m00
                 polarized += weight * m01 * turn
@@ -444,18 +413,15 @@ def _sampled_albedo(start, stop, cosines, n, k, alpha, distribution, samples, ou
 
 
 @lru_cache(maxsize=256)
-def _grooved_albedo(slope_rad: float) -> Float[Array, "cosine"]:
+def _groove_albedo(slope_rad: float) -> Float[Array, "cosine"]:
     """Mean of Oren–Nayar's factor over a uniform sky, by the view's cosine. [1]"""
     if slope_rad == 0:
         return np.ones(len(COSINES))
     light, weight = np.polynomial.legendre.leggauss(24)
     turns = (np.arange(24) + 0.5) * np.pi / 24
-    out = np.empty(33)
-    for i, view in enumerate(np.linspace(0, 1, 33)):
-        rows = [
-            w * c * oren_nayar(view, c, np.cos(t), slope_rad)
-            for c, w in zip((light + 1) / 2, weight / 2, strict=True)
-            for t in turns
-        ]
-        out[i] = 2 * sum(rows) / len(turns)
-    return np.interp(COSINES, np.linspace(0, 1, 33), out)
+    views, lights = np.linspace(0, 1, 33), list(zip((light + 1) / 2, weight / 2, strict=True))
+    out = [
+        2 * sum(w * c * oren_nayar(view, c, np.cos(t), slope_rad) for c, w in lights for t in turns) / 24
+        for view in views
+    ]
+    return np.interp(COSINES, views, out)

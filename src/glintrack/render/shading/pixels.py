@@ -1,4 +1,4 @@
-"""The kernel of `shade`: what each pixel's rays bring, channel by channel."""
+"""The kernel of `shade`: light of each pixel's samples, channel by channel."""
 
 import math
 from functools import lru_cache
@@ -11,30 +11,26 @@ from jaxtyping import Float, Int
 from glintrack.core.arrays import Array
 from glintrack.render.shading.diffuse import (
     FINE_STEPS,
-    Base,
     add_base,
-    between_cosines,
-    grooved,
-    seen_at,
-    through_air,
+    fill_air_row,
+    groove_factor,
+    interpolate_angles,
 )
 from glintrack.render.shading.hits import Hits
 from glintrack.render.shading.interface import (
-    FACETS_KEPT,
-    Lights,
+    CACHED_FACETS,
     add_gathered,
     add_polarized,
+    fill_sky_ray,
     gather_around,
-    gathered_off_sky,
     mirror_base,
     mirror_sky,
-    mirrored_once,
+    mirror_unit_light,
     set_path,
-    sky_ray,
 )
 from glintrack.render.shading.materials import MIRROR_ROUGHNESS, MaterialTables
 from glintrack.render.shading.projection import Light
-from glintrack.render.shading.rough import Lobe, PrefilteredReflection, add_glint
+from glintrack.render.shading.rough import Hit, PrefilteredReflection, add_glint
 
 _LATTICE = 256  # cells of the mottle before it repeats: 1 km for the finer octave
 _APART = 77  # cells between the octaves
@@ -44,38 +40,9 @@ _LEAN_X, _LEAN_Y = np.float32(0.37), np.float32(0.61)
 _NORMAL_INCIDENCE = np.float32(1e-12)
 
 
-class Hit(NamedTuple):
-    """One ray and the surface that it meets.
-
-    Parameters
-    ----------
-    dx, dy, dz, nx, ny, nz
-        Direction of look, and the facet's normal toward the lens. [1]
-    cos_view, cos_sun
-        Cosines of the angles from the normal to the lens and to the sun. [1]
-    sunlight, sky_view
-        Part of the sun's light that arrives, and sky view factor. [1]
-    material, ray
-        Which material, which ray.
-    """
-
-    dx: float
-    dy: float
-    dz: float
-    nx: float
-    ny: float
-    nz: float
-    cos_view: float
-    cos_sun: float
-    sunlight: float
-    sky_view: float
-    material: int
-    ray: int
-
-
 @lru_cache(maxsize=1)
 def mottle_lattice() -> Float[Array, "cell cell"]:
-    """Even noise of zero mean for the mottle; the same in every frame."""
+    """Draw even noise of zero mean for the mottle, the same for every frame."""
     return np.random.default_rng(5).uniform(-1.6, 1.6, (_LATTICE, _LATTICE)).astype(np.float32)
 
 
@@ -104,12 +71,6 @@ def _mottle(px, py, pz, contrast, lattice):
     return max(_ONE + contrast * noise, _ZERO)
 
 
-@nb.njit(cache=True, forceinline=True)
-def _single(vector):
-    """A vector's three components in single precision."""
-    return np.float32(vector[0]), np.float32(vector[1]), np.float32(vector[2])
-
-
 @nb.njit(cache=True, fastmath=True, forceinline=True)
 def _octave(lattice, px, py, apart):
     i, j = math.floor(px), math.floor(py)
@@ -123,67 +84,27 @@ def _octave(lattice, px, py, apart):
     return low + fx * (high - low)
 
 
-class Rays(NamedTuple):
-    """The fields of `Hits` that the kernel reads."""
-
-    rows: int
-    columns: int
-    axis: Float[Array, "3"]
-    first: Int[Array, "element+1"]
-    look: Float[Array, "element 3"]
-    weight: Float[Array, "ray"]
-    point: Float[Array, "ray 3"]
-    normal: Float[Array, "ray 3"]
-    material: Int[Array, "ray"]
-    vehicle_id: Int[Array, "ray"]
-    sun_visible: Float[Array, "ray"]
-    sky_view: Float[Array, "ray"]
-    sky_here: Float[Array, "ray"]
-    sky_left: Int[Array, "ray"]
-    light_cell: Int[Array, "ray"]
-    light_part: Int[Array, "ray 2"]
-    mirror_material: Int[Array, "ray"]
-    mirror_sun: Float[Array, "ray"]
-    mirror_sky: Float[Array, "ray"]
-    mirror_here: Float[Array, "ray"]
-    mirror_left: Int[Array, "ray"]
-    mirror_cell: Int[Array, "ray"]
-    mirror_part: Int[Array, "ray 2"]
-    probe_cells: Int[Array, "cell 4"]
-    probe_facing: Int[Array, "probe"]
-    probe_patches: Int[Array, "probe patch"]
-
-
-def unpack_rays(hits: Hits) -> Rays:
-    """Plain arrays for the kernel."""
-    fields = (np.ascontiguousarray(getattr(hits, name)) for name in Rays._fields[3:])
-    axis = np.asarray(hits.detector_axis, dtype=float)
-    return Rays(hits.rows, hits.columns, axis, *fields)
-
-
 class Scratch(NamedTuple):
-    """What a kernel writes to on its way; most of it is kept from one element to the next.
+    """Working arrays of a kernel; most hold from one element to the next.
 
     Parameters
     ----------
     radiance
-        Of the sky components in one direction.
+        Radiance of the sky components in one direction.
     base
-        What lights a base: sun, surroundings, and each diffuse component.
-    faced, around
-        Normal of the facet met last, or its cell, place there and `Hits.sky_here`, and the irradiance of each
-        diffuse component on it.
+        Light on a base: sun, surroundings, and each diffuse component.
+    around
+        Irradiance of each diffuse component on a facet.
     total
         Stokes radiance of one element by channel.
     plain, own
         Mirrored components without dispersion, and with spectra of their own.
-    lit_step, lit_here, mirrored_step, mirrored_here, path_at, path_here, at, facet, mixed
+    lit_step, lit_here, mirrored_step, mirrored_here, at, facet, mixed
         See `interface`.
     """
 
     radiance: Float[Array, "sky_component 3"]
     base: Float[Array, "light"]
-    faced: Float[Array, "4"]
     around: Float[Array, "diffuse_component"]
     total: Float[Array, "3 channel"]
     plain: Float[Array, "component 3"]
@@ -192,28 +113,20 @@ class Scratch(NamedTuple):
     lit_here: Float[Array, "row light channel"]
     mirrored_step: Int[Array, "group"]
     mirrored_here: Float[Array, "group component channel"]
-    path_at: Float[Array, "2"]
-    path_here: Float[Array, "2 3 channel"]
     at: Float[Array, "slot 5"]
     facet: Float[Array, "slot 2 look_and_term value"]
     mixed: Float[Array, "value"]
 
 
 class ShadedFrame(NamedTuple):
-    """What a frame is shaded from: its rays, the sun, and what was made ready for its pixels."""
+    """Hits, sun, and prepared tables of a frame."""
 
-    rays: Rays
+    rays: Hits
     surfaces: MaterialTables
     light: Light
     rough: PrefilteredReflection
     sun: Float[Array, "3"]
     lattice: Float[Array, "cell cell"]
-
-
-@nb.njit(nogil=True, cache=True)
-def shade_pixels(start, stop, index, frame, out):
-    """Fill ``out`` (pixel, 3, channel) for rows of ``index``."""
-    _shade_rows(start, stop, index, frame, _scratch(frame), out)
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -223,7 +136,6 @@ def _scratch(frame):
     return Scratch(
         np.empty((skies, 3), np.float32),
         np.zeros(lit.shape[2], np.float32),
-        np.full(4, 2.0),
         np.empty(light.irradiance.shape[1], np.float32),
         np.empty((3, width), np.float32),
         np.empty((mirrored.shape[2], 3), np.float32),
@@ -232,22 +144,23 @@ def _scratch(frame):
         np.empty(lit.shape[1:], np.float32),
         np.full(mirrored.shape[1], -1),
         np.empty(mirrored.shape[1:], np.float32),
-        np.full(2, -1.0),
-        np.empty((2, 3, width), np.float32),
-        np.full((FACETS_KEPT, 5), -2.0),
-        np.empty((FACETS_KEPT, 2, 2 * frame.surfaces.terms.max(), gathered.shape[1]), np.float32),
+        np.full((CACHED_FACETS, 5), -2.0),
+        np.empty((CACHED_FACETS, 2, 2 * frame.surfaces.terms.max(), gathered.shape[1]), np.float32),
         np.empty(gathered.shape[1], np.float32),
     )
 
 
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _shade_rows(start, stop, index, frame, scratch, out):
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def shade_pixels(start, stop, index, frame, out):
+    """Fill ``out`` (pixel, 3, channel) for rows of ``index``."""
+    scratch, axis = _scratch(frame), frame.rays.detector_axis
     rays, surfaces, light, sun = frame.rays, frame.surfaces, frame.light, frame.sun
     materials, at_angle, grid = rays.material, surfaces.at_angle, light.grid
     plain, own, total = scratch.plain, scratch.own, scratch.total
     airmasses, columns, width = light.lit.shape[0] - 1, rays.columns, light.lit.shape[3]
     block = 2 + light.sky_map.shape[2]
-    toward_sun, axis = _single(sun), _single(rays.axis)
+    toward_sun = np.float32(sun[0]), np.float32(sun[1]), np.float32(sun[2])
+    right = np.float32(axis[0]), np.float32(axis[1]), np.float32(axis[2])
     for j in range(start, stop):
         element = index[j]
         row = element // columns
@@ -255,40 +168,42 @@ def _shade_rows(start, stop, index, frame, scratch, out):
         begin, end = rays.first[element], rays.first[element + 1]
         _clear(plain, block, 3)
         _clear(total, 3, width)
-        step, ground = 0, _part_that_ends(materials, rays.weight, begin, end)
+        step, ground = 0, 0.0
+        for ray in range(begin, end):
+            ground += rays.weight[ray] if materials[ray] >= 0 else 0.0
         if ground > 0:
-            step = _air_step(float(rays.look[element, 2]), light.airmass_start, light.airmass_step, airmasses)
+            airmass = -1.0 / min(float(rays.look[element, 2]), -1e-6)
+            node = min(max((airmass - light.airmass_start) / light.airmass_step, 0.0), airmasses - 1.0)
+            step = int(node * FINE_STEPS + 0.5)
             where = grid.row_low[row], grid.row_part[row], grid.column_low[column], grid.column_part[column]
-            set_path(where, light.path, ground, scratch.path_at, scratch.path_here, width, total)
+            set_path(where, light.path, ground, width, total)
         for ray in range(begin, end):
             m, share = int(materials[ray]), float(rays.weight[ray])
             dx, dy, dz = rays.look[element, 0], rays.look[element, 1], rays.look[element, 2]
             if m < 0:
-                sky_ray(dx, dy, dz, rays.axis, light.sky_map, share, scratch.radiance, own)
+                fill_sky_ray(dx, dy, dz, axis, light.sky_map, share, scratch.radiance, own)
                 mirrored_here = scratch.mirrored_here
-                through_air(
+                fill_air_row(
                     light.mirrored, airmasses * FINE_STEPS, 0, scratch.mirrored_step, mirrored_here, width
                 )
                 _add_mirrored_light(own, block, mirrored_here, 0, width, total)
                 continue
             nx, ny, nz = rays.normal[ray, 0], rays.normal[ray, 1], rays.normal[ray, 2]
-            view, sunward, turn_c, turn_s = _incidence(dx, dy, dz, nx, ny, nz, toward_sun, axis)
+            view, sunward, turn_c, turn_s = _incidence(dx, dy, dz, nx, ny, nz, toward_sun, right)
             contrast = np.float32(surfaces.mottle[m]) if rays.vehicle_id[ray] < 0 else _ZERO
             px, py, pz = rays.point[ray, 0], rays.point[ray, 1], rays.point[ray, 2]
             sunlight, sky_view = float(rays.sun_visible[ray]), float(rays.sky_view[ray])
             hit = Hit(dx, dy, dz, nx, ny, nz, view, sunward, sunlight, sky_view, m, ray)
             scale = share / math.pi * _mottle(px, py, pz, contrast, frame.lattice)
-            enter, even, coat, degree = seen_at(at_angle, m, *between_cosines(view, at_angle))
-            enter *= grooved(hit, sun, surfaces.groove[m])
+            enter, even, coat, degree = interpolate_angles(at_angle, m, view)
+            enter *= groove_factor(hit, sun, surfaces.groove[m])
             q, u = -degree * turn_c, degree * turn_s
-            left, here, part = rays.sky_left[ray] / 255.0, rays.sky_here[ray], rays.light_part[ray]
-            base = Base(scale, enter, even, q, u, left, here, rays.light_cell[ray], part[0], part[1])  # pyright: ignore
-            place = add_base(hit, base, rays, step, width, surfaces, light, scratch)
+            place = add_base(hit, scale, enter, even, q, u, rays, step, width, surfaces, light, scratch)
             if surfaces.polarized[m] > 0 and sunward > 0 and sunlight > 0:
-                add_polarized(hit, surfaces, share, sun, rays.axis, plain)
+                add_polarized(hit, surfaces, share, sun, axis, plain)
             _add_interface(hit, place, row, column, coat, share, step, width, frame, scratch)
         if ground > 0:
-            through_air(light.mirrored, step, 0, scratch.mirrored_step, scratch.mirrored_here, width)
+            fill_air_row(light.mirrored, step, 0, scratch.mirrored_step, scratch.mirrored_here, width)
             _add_mirrored_light(plain, block, scratch.mirrored_here, 0, width, total)
         for s in range(3):
             for channel in range(out.shape[2]):
@@ -297,8 +212,9 @@ def _shade_rows(start, stop, index, frame, scratch, out):
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _add_interface(hit, place, r, c, coat, share, step, width, frame, scratch):
-    """Add what the interface of a surface mirrors: to ``plain``, or at once if its terms have spectra."""
+    """Add mirrored light: to ``plain``, or directly for an interface with spectra of its terms."""
     rays, surfaces, light, rough = frame.rays, frame.surfaces, frame.light, frame.rough
+    axis = rays.detector_axis
     m, skies = hit.material, light.sky_map.shape[2]
     weight, k = surfaces.weight[m] * share, surfaces.optics[m]
     if weight == 0.0:
@@ -311,44 +227,24 @@ def _add_interface(hit, place, r, c, coat, share, step, width, frame, scratch):
     if alpha >= MIRROR_ROUGHNESS:
         slot = gather_around(hit.nx, hit.ny, hit.nz, k, terms, r, c, rough, scratch.at, scratch.facet)
         shining = hit.sunlight if glint > 0 else 0.0
-        if mirrors:
-            lobe = share * coat, place[0], terms, surfaces.reference[k]
-            shown = gathered_off_sky(lobe, r, c, rough, scratch.facet, slot)
-        around = share * coat, (place[0], 0.0 if mirrors else place[1]), shining
-        add_gathered(around, terms, skies, r, c, rough, scratch.facet, slot, scratch.mixed, target)
+        around, amounts = (
+            (share * coat, (place[0], 0.0 if mirrors else place[1]), shining),
+            surfaces.reference[k],
+        )
+        facet, mixed = scratch.facet, scratch.mixed
+        shown = add_gathered(around, terms, amounts, skies, r, c, rough, facet, slot, mixed, target)
         glint = 0.0 if rough.soft[k] else glint
     elif mirrors:
-        shown = mirrored_once(hit, weight, k, terms, surfaces, rays.axis)
+        shown = mirror_unit_light(hit, weight, k, terms, surfaces, axis)
     else:
-        mirror_sky(
-            hit, weight, k, terms, surfaces.fresnel, rays.axis, light.sky_map, scratch.radiance, target
-        )
+        mirror_sky(hit, weight, k, terms, surfaces.fresnel, axis, light.sky_map, scratch.radiance, target)
     if mirrors:
-        lights = Lights(light.lit, step, scratch.lit_step, scratch.lit_here, width)
-        mirror_base(hit, shown, rays, light, lights, scratch)
+        mirror_base(hit, shown, rays, step, width, light, scratch)
     if glint > 0:
-        lobe = Lobe(k, glint, alpha, surfaces.distribution[k], terms)
-        add_glint(hit, frame.sun, lobe, surfaces.fresnel, rays.axis, block, target)
+        add_glint(hit, frame.sun, k, glint, surfaces, axis, block, target)
     if group > 0:
-        through_air(light.mirrored, step, group, scratch.mirrored_step, scratch.mirrored_here, width)
+        fill_air_row(light.mirrored, step, group, scratch.mirrored_step, scratch.mirrored_here, width)
         _add_mirrored_light(scratch.own, terms * block, scratch.mirrored_here, group, width, scratch.total)
-
-
-@nb.njit(cache=True, forceinline=True)
-def _part_that_ends(materials, weights, begin, end):
-    """Which part of an element's rays meet a surface."""
-    part = 0.0
-    for ray in range(begin, end):
-        if materials[ray] >= 0:
-            part += weights[ray]
-    return part
-
-
-@nb.njit(cache=True, forceinline=True)
-def _air_step(dz, first, spacing, airmasses):
-    """Fine step of the airmass along a ray that goes down."""
-    node = (-1.0 / min(dz, -1e-6) - first) / spacing
-    return int(min(max(node, 0.0), airmasses - 1.0) * FINE_STEPS + 0.5)
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -360,7 +256,7 @@ def _clear(values, rows, columns):
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
 def _add_mirrored_light(mirrored, count, lights, row, width, total):
-    """Add what mirrored coefficients bring in each channel."""
+    """Add the light of mirrored coefficients in each channel."""
     zero = np.float32(0.0)
     for e in range(0, count, 2):
         after = min(e + 1, count - 1)
