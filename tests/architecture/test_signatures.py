@@ -17,8 +17,6 @@ LIBRARIES = ("np", "math", "xr", "pd", "shapely", "scipy", "rasterio")
 COMPILED = ("njit", "vectorize")
 # "module.name" of a function or a class that is made, or a class's name: still to be mended; empty it
 OPEN = {
-    "render.rays.bvh._instances",
-    "render.rays.bvh._mesh_tree",
 }
 
 

@@ -36,6 +36,7 @@ _VEHICLE_M = (19.0, 4.0, 5.0)  # largest vehicle, along its own axes
 _EDGE_M = 1e-2
 _STEEP = 0.9  # upward component of normals
 _REACH = 4.0  # heights of what rises, as far as its shade on the sky is followed
+_ABOVE_M = 10.0  # start of rays over the highest object
 _RISES_M = 0.5  # over the ground at the scene's edge: what is lower shades nothing
 
 
@@ -256,9 +257,6 @@ def _sun_disc(sun: Float[Array, "3"], samples: int) -> Float[Array, "sample 3"]:
     return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
 
 
-_ABOVE_M = 10.0
-
-
 def surface_model(
     tracer: SceneTracer, snapshot: Snapshot, area_m: tuple[float, float, float, float], step_m: float
 ) -> xr.Dataset:
@@ -291,7 +289,7 @@ def surface_model(
         raise ValueError(f"`area_m` must hold two cells of {step_m:g} m a side at least, got {area_m}")
     x = west + step_m * (np.arange(columns) + 0.5)
     y = north - step_m * (np.arange(rows) + 0.5)
-    height, down = np.empty((rows, columns)), np.tile(np.float32([0, 0, -1]), (columns, 1))
+    height, down = np.empty((rows, columns)), np.tile(np.array([0, 0, -1], np.float32), (columns, 1))
     top = float(standing_box(snapshot)[1][2]) + _ABOVE_M
     with tracer.busy:
         tracer.rays.update(NO_TRANSFORMS, NO_MODELS)

@@ -67,14 +67,9 @@ class ProbeTable(NamedTuple):
 
 def empty_table(bounces: int, rows: int = 0) -> ProbeTable:
     """Allocate a table without cells."""
-    return ProbeTable(
-        np.zeros((0, 4), np.int32),
-        np.zeros(rows, np.int16),
-        np.zeros((rows, PATCHES), np.uint8),
-        np.zeros((rows, bounces), np.int16),
-        np.zeros(rows, np.float32),
-        np.zeros(rows, np.float32),
-    )
+    cells, facing = np.zeros((0, 4), np.int32), np.zeros(rows, np.int16)
+    patches, bounced = np.zeros((rows, PATCHES), np.uint8), np.zeros((rows, bounces), np.int16)
+    return ProbeTable(cells, facing, patches, bounced, *np.zeros((2, rows), np.float32))
 
 
 def concatenate_tables(first: ProbeTable, second: ProbeTable) -> ProbeTable:

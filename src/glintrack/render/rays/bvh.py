@@ -119,7 +119,7 @@ class BvhTracer:
         # outward by what rounding to float32 may take away
         low = np.nextafter(corners.min(axis=1).astype(np.float32), np.float32(-np.inf))
         high = np.nextafter(corners.max(axis=1).astype(np.float32), np.float32(np.inf))
-        tree = _build(low, high, _INSTANCES_PER_LEAF)
+        tree = BoxTree(*_split(low, high, _INSTANCES_PER_LEAF))
         turned = np.linalg.inv(transforms[tree.order, :, :3])
         shift = -np.einsum("kij,kj->ki", turned, transforms[tree.order, :, 3])
         inverse = np.concatenate([turned, shift[:, :, None]], axis=2)
@@ -129,7 +129,7 @@ class BvhTracer:
 
 def _mesh_trees(meshes: tuple[Mesh, ...], gaps: tuple[Array, ...]) -> MeshTrees:
     corners = [np.asarray(m.vertices, np.float32)[m.faces].reshape(-1, 3, 3) for m in meshes]
-    trees = [_build(c.min(axis=1), c.max(axis=1), _TRIANGLES_PER_LEAF) for c in corners]
+    trees = [BoxTree(*_split(c.min(axis=1), c.max(axis=1), _TRIANGLES_PER_LEAF)) for c in corners]
     ordered = [own[tree.order] for own, tree in zip(corners, trees, strict=True)]
     a, b, c = np.concatenate(ordered).transpose(1, 0, 2)
     return MeshTrees(
@@ -141,10 +141,6 @@ def _mesh_trees(meshes: tuple[Mesh, ...], gaps: tuple[Array, ...]) -> MeshTrees:
         node_start=np.cumsum([0, *(len(tree.nodes) for tree in trees)]),
         face_start=np.cumsum([0, *(len(tree.order) for tree in trees)]),
     )
-
-
-def _build(low: Float[Array, "box 3"], high: Float[Array, "box 3"], per_leaf: int) -> BoxTree:
-    return BoxTree(*_split(np.ascontiguousarray(low), np.ascontiguousarray(high), per_leaf))
 
 
 @nb.njit(nogil=True, cache=True)
@@ -184,7 +180,7 @@ def _sort_about_cut(low, high, order):
         costs = number * before + number[::-1] * after
         cut = np.argmin(costs)
         if costs[cut] < least_cost:
-            least_cost, before_cut = costs[cut], cut + 1
+            least_cost, before_cut = costs[cut], int(cut) + 1
             order[:] = ranked
     return before_cut
 
