@@ -16,8 +16,7 @@ MAX_TUPLE = 3  # values of a tuple between functions
 LIBRARIES = ("np", "math", "xr", "pd", "shapely", "scipy", "rasterio")
 COMPILED = ("njit", "vectorize")
 # "module.name" of a function or a class that is made, or a class's name: still to be mended; empty it
-OPEN = {
-}
+OPEN: set[str] = set()
 
 
 def is_compiled(function):
