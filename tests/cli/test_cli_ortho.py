@@ -318,7 +318,7 @@ def exchanged_near(folder):
         (lambda f: ("--area", "nan", "0", "9", "9"), "`area` must lie within ±1e\\+08, got nan 0 9 9"),
         (lambda f: ("--area", "-inf", "-inf", "inf", "inf"), "`area` must lie within"),
         (exchanged, "EPSG:32632|exchanged they lie at 10.5.°, 52.2.°: are east and north exchanged"),
-        (exchanged_near, "with easting_m = 29.* the pose lies over dem.tif: are they exchanged\\?\\)$"),
+        (exchanged_near, "with easting_m = 29.* the pose is over dem.tif: are they exchanged\\?\\)$"),
         (holed, "must have heights where the frame looks, got none there"),
         (elsewhere, "must reach the frame's ground"),
         (lambda f: write_raster(f / "dem.tif", np.zeros((9, 9)), crs=None) or (), "must have a CRS"),

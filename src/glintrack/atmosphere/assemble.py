@@ -236,38 +236,33 @@ def _dataset(
     """Dataset of the tables, with units and descriptions."""
     sun_zenith, sun_azimuth = sun_direction(design)
     radiance, frame = {"units": RADIANCE}, {"units": "1", "stokes_frame": "meridian"}
-    meanings = {
-        "sun_irradiance": "direct sun at the ground, on a plane normal to the beam",
-        "sky_irradiance": "diffuse sky on level ground",
-        "path_gas": "transmission of gases for the path to a sensor at that altitude",
-        "transmittance": "from the ground to the sensor",
-        "view_zenith": "from nadir",
-        "azimuth": "of the direction of look, clockwise from north",
+    flat, path_dims = ("wavelength",), ("path_component", "altitude", "view_zenith", "azimuth", "stokes")
+    through_dims = ("wavelength", "altitude", "view_zenith")
+    labels = {
+        "sun_irradiance": (flat, IRRADIANCE, "direct sun at the ground, on a plane normal to the beam"),
+        "sky_irradiance": (flat, IRRADIANCE, "diffuse sky on level ground"),
+        "spherical_albedo": (flat, "1", "of the atmosphere, for light from below"),
+        "path_gas": (("altitude", "wavelength"), "1", "transmission of gases for the path to the altitude"),
+        "transmittance": (through_dims, "1", "from the ground to the sensor"),
     }
-    units = {"sun_irradiance": IRRADIANCE, "sky_irradiance": IRRADIANCE}
-    dims = {
-        "path_gas": ("altitude", "wavelength"),
-        "transmittance": ("wavelength", "altitude", "view_zenith"),
+    look = "of the direction of look, clockwise from north"
+    axes = {
+        "wavelength": (design.wavelength_um, {"units": "um"}),
+        "altitude": (np.array(design.altitudes_m), {"units": "m"}),
+        "zenith": (d.zenith, {"units": "rad"}),
+        "view_zenith": (d.view_zenith, {"units": "rad", "long_name": "from nadir"}),
+        "azimuth": (d.azimuth, {"units": "rad", "long_name": look}),
     }
-    path_dims = ("path_component", "altitude", "view_zenith", "azimuth", "stokes")
-    axes = {"wavelength": (design.wavelength_um, "um"), "altitude": (np.array(design.altitudes_m), "m")}
-    axes |= {name: (getattr(d, name), "rad") for name in ("zenith", "view_zenith", "azimuth")}
     tables = xr.Dataset(
-        {
-            name: (dims.get(name, ("wavelength",)), values, {"units": units.get(name, "1")})
-            for name, values in spectra.items()
-        }
+        {n: (dims, spectra[n], {"units": u, "long_name": text}) for n, (dims, u, text) in labels.items()}
         | {
             "sky_spectrum": (("sky_component", "wavelength"), sky.spectrum, radiance),
             "sky_map": (("sky_component", "zenith", "azimuth", "stokes"), sky.maps, frame),
             "path_spectrum": (("path_component", "wavelength"), path.spectrum, radiance),
             "path_map": (path_dims, path.maps, frame),
         },
-        coords={name: (name, values, {"units": unit}) for name, (values, unit) in axes.items()}
-        | {"stokes": ["I", "Q", "U"]},
+        coords={name: (name, *axis) for name, axis in axes.items()} | {"stokes": ["I", "Q", "U"]},
     )
-    for name, text in meanings.items():
-        tables[name].attrs["long_name"] = text
     tables.attrs = {
         "title": "polarized atmosphere: sun, sky, path",
         "source": "solved by glintrack with sasktran2; sun ASTM G173-03 (pvlib), aerosol WMO 1986, gases 6S",
