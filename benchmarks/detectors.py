@@ -33,7 +33,7 @@ from glintrack.track.detect.footprint import footprints, peak_places, peaks, win
 from glintrack.track.detect.frame import grid_of, plane
 from glintrack.track.detect.sliding_median import median_and_spread
 from glintrack.track.files import as_rows
-from tools.record_flight import Recording, recorded
+from tools.record_flight import Recording, record_flight
 
 Found = list[track.Detections]
 
@@ -135,9 +135,9 @@ SCORES = ("completeness_visible", "purity", "custody", "false_per_km2", "mota", 
 
 
 def detections_of(recording: Recording, detector: track.Detector) -> tuple[Found, float]:
-    """What a detector finds in each frame with nothing tracked, and its processor time a frame. [s]"""
+    """Detections in each frame without a tracker, and processor time per frame. [s]"""
     state, last_s, out, began = None, None, [], time.process_time()
-    for frame in recording.seen():
+    for frame in recording.sensor_frames():
         interval_s = 0.0 if last_s is None else frame.time_s - last_s
         frame = replace(frame, grid=grid_of(frame, None), interval_s=interval_s, channel="pan")
         state = detector.start(frame) if state is None else state
@@ -149,7 +149,7 @@ def detections_of(recording: Recording, detector: track.Detector) -> tuple[Found
 
 
 def f1(recording: Recording, found: Found, least_nat: float = LIKELY_NAT) -> float:
-    """Of all frames together; of detections with a likelihood ratio of those that reach the least."""
+    """Score all frames together, with detections that reach the smallest likelihood ratio."""
     right = wrong = asked = 0
     for one, truth in zip(found, recording.truths, strict=True):
         ratio = one.log_likelihood_ratio
@@ -165,13 +165,13 @@ def f1(recording: Recording, found: Found, least_nat: float = LIKELY_NAT) -> flo
 
 def reports_of(recording: Recording, found: Found, tracker: str, design: track.TrackDesign) -> xr.Dataset:
     """Rows of the tracks that a tracker makes of detections."""
-    times = [frame.time_s for frame in recording.seen()]
+    times = [frame.time_s for frame in recording.sensor_frames()]
     if tracker == "SORT":
         nobody = np.empty((0, 5))
         reports, _ = sort_style([(t, nobody, nobody) for t in times], [one.position for one in found])
         return as_rows(zip(times, (tracks_of(*report) for report in reports), strict=True))
     state = track.start(design.replace({"association.method": tracker, "query.policy": "none"}))
-    grid, flown = grid_of(next(recording.seen()), None), []
+    grid, flown = grid_of(next(recording.sensor_frames()), None), []
     for time_s, one in zip(times, found, strict=True):
         state = track.step_detections(state, one, time_s, grid)
         flown.append(state)
@@ -181,7 +181,7 @@ def reports_of(recording: Recording, found: Found, tracker: str, design: track.T
 def truth_rows(recording: Recording) -> xr.Dataset:
     """The truth with one row a vehicle and frame."""
     parts = []
-    for frame, truth in zip(recording.seen(), recording.truths, strict=True):
+    for frame, truth in zip(recording.sensor_frames(), recording.truths, strict=True):
         table = truth.to_dataframe().reset_index().rename(columns={"vehicle": "vehicle_id"})
         parts.append(table.assign(time_s=frame.time_s))
     columns = {name: np.concatenate([part[name].to_numpy() for part in parts]) for name in parts[0]}
@@ -212,7 +212,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the rows to this file")
     arguments = parser.parse_args()
     if arguments.tune:
-        recording = recorded("quickstart:11")
+        recording = record_flight("quickstart:11")
         for name, detector in CLASSICAL.items():
             for threshold in TRIED:
                 found, _ = detections_of(recording, replace(detector, threshold=threshold))
@@ -223,7 +223,7 @@ def main() -> None:
         return
     rows = []
     for flight in arguments.flights:
-        for row in rows_of(recorded(flight), flight):
+        for row in rows_of(record_flight(flight), flight):
             rows.append(row)
             keys = ("f1", *SCORES, "value")
             print(f"{flight:16}{row['name']:20}", *(f"{row[key]:7.3f}" for key in keys), flush=True)

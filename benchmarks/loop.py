@@ -6,7 +6,7 @@ spectra). The first frames, in which kernels are compiled and nothing is tracked
 
 ``frame_total`` is the median wall time from one frame to the next, ``processor`` the same of the processor
 time of all threads, which other work on the machine changes least. The other rows are means over all frames
-of a stage of the loop, without compiling; rows with "ahead" are stages that run in threads beside the loop,
+of a stage of the loop, without compiling; rows with "ahead" are stages that run in threads next to the loop,
 and ``light`` is how long the loop waits for them. Names of rows of further designs end in the design.
 """
 

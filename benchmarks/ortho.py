@@ -12,7 +12,7 @@ resamples the DEM to the grid (GDAL), crops it to what the frame sees, rectifies
 threads as cores and puts them into an uncompressed file in memory; ours is `rectify_array`, which takes
 heights between the DEM's nodes on the way and gives the array, NaN off the frame.
 
-The largest difference between the two results is printed beside the times. Without orthority only our
+The largest difference between the two results is printed with the times. Without orthority only our
 own times are given.
 """
 

@@ -229,7 +229,7 @@ def equal_noise(ours: float, one_sample: float, render) -> dict:
 
 
 def main() -> None:
-    """Measure, print, and write if asked."""
+    """Measure, print, and optionally write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="under a minute")
     parser.add_argument("--json", type=Path, help="write the rows here")

@@ -122,13 +122,13 @@ def ours(
                 state, found, time_s, GRID, None if features is None else features[k]
             )
             times.append(1e3 * (time.process_time() - start))
-            reports.append(reported(state))
+            reports.append(report_positions(state))
         return reports, times
 
     return run
 
 
-def reported(state: track.TrackerState) -> tuple[np.ndarray, np.ndarray]:
+def report_positions(state: track.TrackerState) -> tuple[np.ndarray, np.ndarray]:
     """Ids and positions of the tracks that the tracker reports."""
     tracks = track.report(state)
     return tracks["track"].values, np.stack([tracks["east"].values, tracks["north"].values], axis=-1)

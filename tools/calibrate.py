@@ -41,7 +41,7 @@ from glintrack.track.detect.detections import Association
 from glintrack.track.detect.frame import grid_of
 from glintrack.track.detect.mosaic import MosaicDetector, SearchedMosaic
 from glintrack.track.detect.mosaic_peaks import FEATURES, MIN_RATIO
-from tools.record_flight import Recording, recorded
+from tools.record_flight import Recording, record_flight
 
 CHANNELS = ("pan", "dolp", "all")
 RIDGE = 1e-3
@@ -108,7 +108,7 @@ class Peaks:
 def label_flight(recording: Recording, sensor: str, channel: str) -> Peaks:
     """The peaks of a flight, as a sensor saw it, in a channel, once the ground is learnt."""
     detector, state, times_s, parts = MosaicDetector(DetectDesign()), None, [], []
-    for frame, truth in zip(recording.seen(sensor), recording.truths, strict=True):
+    for frame, truth in zip(recording.sensor_frames(sensor), recording.truths, strict=True):
         frame = frame_for(frame, channel, frame.time_s - times_s[-1] if times_s else 0.0)
         state = detector.start(frame) if state is None else state
         found = detector.detect(state, frame)
@@ -204,9 +204,9 @@ def calibrate_mosaic() -> None:
     data: dict[str, list[Peaks]] = {channel: [] for channel in CHANNELS}
     for flight, azimuth in MOSAIC_FLIGHTS.items():
         for changes in VARIANTS:
-            recording = recorded(flight, (*azimuth, *changes))
+            recording = record_flight(flight, (*azimuth, *changes))
             for channel in CHANNELS:
-                data[channel].append(label_flight(recording, "flown", channel))
+                data[channel].append(label_flight(recording, "own", channel))
             data["pan"].append(label_flight(recording, "pan", "pan"))
     laws = {channel: fit_peaks(sets) for channel, sets in data.items()}
     shares = {channel: detection_ratio(sets, laws[channel]) for channel, sets in data.items()}
@@ -237,7 +237,7 @@ LabelledTracks = tuple[
 
 @dataclass(frozen=True)
 class Flight:
-    """What a packaged case detected in a channel: time, detections, grid and truth of each frame."""
+    """Detections of a packaged case in a channel: time, detections, grid and truth of each frame."""
 
     case: str
     seed: int
@@ -259,11 +259,11 @@ def design_of(case: str, channel: str, keys: Mapping[str, object]) -> track.Trac
     return Case.from_toml(find_case(case)).track.replace({**own, **keys})
 
 
-def detected(recording: Recording, channel: str) -> Flight:
-    """What the packaged case detects in a flight."""
+def detect_flight(recording: Recording, channel: str) -> Flight:
+    """Detect the vehicles of a recorded simulation."""
     case = recording.case
     state, found = track.start(design_of(case.name, channel, {}), case.seed), []
-    for frame, truth in zip(recording.seen(), recording.truths, strict=True):
+    for frame, truth in zip(recording.sensor_frames(), recording.truths, strict=True):
         state, _ = track.step(state, frame)
         if state.grid is not None:
             found.append((frame.time_s, state.detections, state.grid, truth))
@@ -280,7 +280,7 @@ def at_once(flight: Flight) -> LabelledTracks:
 
 
 def later(flight: Flight) -> LabelledTracks:
-    """What may be reported of each frame `LAG_S` later."""
+    """Tracks that may be reported for each frame, `LAG_S` later."""
     moments, parts = [], []
     for state in flight.states({"reporting.lag_s": LAG_S}):
         moments.append(reporting.pending_epoch(moments[-1] if moments else None, state, track.report(state)))
@@ -327,9 +327,9 @@ def calibrate_existence() -> None:
     """Fit the existence models without and with a lag, and write both files."""
     flown: dict[str, list[Flight]] = {channel: [] for channel in CHANNELS}
     for flight in EXISTENCE_FLIGHTS:
-        recording = recorded(flight)
+        recording = record_flight(flight)
         for channel in CHANNELS:
-            flown[channel].append(detected(recording, channel))
+            flown[channel].append(detect_flight(recording, channel))
     for name, labelled in (("existence", at_once), ("existence_smoothed", later)):
         fitted = {
             channel: fit_tracks([labelled(one) for one in flights]) for channel, flights in flown.items()
@@ -340,7 +340,7 @@ def calibrate_existence() -> None:
 
 
 def main() -> None:
-    """Fit what is asked for."""
+    """Fit the models that are named."""
     parts = {"mosaic": calibrate_mosaic, "existence": calibrate_existence}
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter

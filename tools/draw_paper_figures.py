@@ -32,7 +32,7 @@ VIEW_M = (-330.0, 330.0, -210.0, 210.0)
 JPEG_QUALITY = 72
 
 
-def flown(
+def simulate_flight(
     args: argparse.Namespace, off_nadir_deg: float, trees: bool, trackers: Mapping[str, TrackDesign]
 ) -> tuple[xr.DataTree, dict[str, Epoch]]:
     """A flight's result, and each tracker's last epoch."""
@@ -57,7 +57,7 @@ def flown(
     return tree, last
 
 
-def told(epoch: Epoch) -> str:
+def describe_epoch(epoch: Epoch) -> str:
     """Scores of an epoch in words."""
     score = epoch.score
     return (
@@ -80,10 +80,10 @@ def show_queries(ax: Axes, epoch: Epoch) -> None:
     )
 
 
-def show_followed(ax: Axes, tree: xr.DataTree, epoch: Epoch) -> None:
+def show_tracked(ax: Axes, tree: xr.DataTree, epoch: Epoch) -> None:
     """Labelled tracks and their one-second predictions over what is drawn."""
     show_tracks(ax, tree[f"{epoch.channel}/tracks"].to_dataset(), epoch.time_s, label=True)
-    ax.set_title(told(epoch), fontsize=8)
+    ax.set_title(describe_epoch(epoch), fontsize=8)
 
 
 def show_degree(ax: Axes, degree: np.ndarray, highest: float) -> None:
@@ -93,7 +93,7 @@ def show_degree(ax: Axes, degree: np.ndarray, highest: float) -> None:
     ax.set(xlabel="east [m]", ylabel="north [m]", facecolor="#35506a")
 
 
-def saved(figure: plt.Figure, path: Path) -> None:
+def save(figure: plt.Figure, path: Path) -> None:
     """As JPEG."""
     options = {"quality": JPEG_QUALITY, "optimize": True}
     figure.savefig(path, bbox_inches="tight", pad_inches=0.05, pil_kwargs=options)
@@ -110,14 +110,14 @@ def panels() -> tuple[plt.Figure, list[Axes]]:
 def draw_figure_12(args: argparse.Namespace) -> None:
     """Nadir pan."""
     packaged = Case.from_toml(find_case("quickstart")).track
-    tree, last = flown(args, 0.0, False, {"pan": packaged.replace({"query.budget": UNLIMITED})})
+    tree, last = simulate_flight(args, 0.0, False, {"pan": packaged.replace({"query.budget": UNLIMITED})})
     figure, (above, below) = panels()
     show_queries(above, last["pan"])
     show_pan(below, last["pan"].image)
-    show_followed(below, tree, last["pan"])
+    show_tracked(below, tree, last["pan"])
     for ax in (above, below):
         ax.set(xlim=VIEW_M[:2], ylim=VIEW_M[2:])
-    saved(figure, args.out / "figure12.jpg")
+    save(figure, args.out / "figure12.jpg")
 
 
 def draw_figure_13(args: argparse.Namespace) -> None:
@@ -131,15 +131,15 @@ def draw_figure_13(args: argparse.Namespace) -> None:
             "detect.dolp_threshold": THRESHOLD,
         }
     )
-    tree, last = flown(args, 50.0, True, {"plain": plain, "boosted": boosted})
+    tree, last = simulate_flight(args, 50.0, True, {"plain": plain, "boosted": boosted})
     figure, (above, below) = panels()
     show_degree(above, last["plain"].image["dolp"].values, 0.5)
     degree = np.clip(BOOST * last["boosted"].image["dolp"].values, 0, 1)
     show_degree(below, np.where(degree < THRESHOLD, 0, degree), 1.0)
     for ax, name in ((above, "plain"), (below, "boosted")):
-        show_followed(ax, tree, last[name])
+        show_tracked(ax, tree, last[name])
         ax.set(xlim=VIEW_M[:2], ylim=VIEW_M[2:])
-    saved(figure, args.out / "figure13.jpg")
+    save(figure, args.out / "figure13.jpg")
 
 
 def main() -> None:

@@ -3,8 +3,8 @@
     python tools/licences.py [--check] [--extra NAME ...]
 
 The licence is what the installed package's own metadata says: its SPDX expression, else its classifiers, else
-the begin of its licence field. ``--check`` refuses a package of the default installation whose licence is not
-one of `FREE`, or is not told at all.
+the start of its licence field. ``--check`` refuses a package of the default installation whose licence is not
+one of `FREE`, or is not stated.
 """
 
 import argparse
@@ -29,7 +29,7 @@ def name_of(package: str) -> str:
     return re.sub(r"[-_.]+", "-", package).lower()
 
 
-def needed(requirements: list[str]) -> dict[str, str]:
+def required_packages(requirements: list[str]) -> dict[str, str]:
     """Installed packages that some requirements bring, directly or not; their licences."""
     found: dict[str, str] = {}
     open_ends = [(r.name, frozenset(r.extras)) for r in map(Requirement, requirements) if holds(r, {""})]
@@ -54,33 +54,33 @@ def needed(requirements: list[str]) -> dict[str, str]:
 
 
 def holds(requirement: Requirement, extras: Iterable[str]) -> bool:
-    """Whether a requirement is one here, with some extras."""
+    """Return True if a requirement applies here, with some extras."""
     marker = requirement.marker
     return marker is None or any(marker.evaluate({"extra": extra}) for extra in extras)
 
 
 def licence(about: metadata.Distribution) -> str:
-    """What a package says of its own licence."""
-    told = about.metadata
-    if expression := told.get("License-Expression"):
+    """Licence of a package, from its metadata."""
+    metadata_of = about.metadata
+    if expression := metadata_of.get("License-Expression"):
         return str(expression)
-    classes = [c for c in told.get_all("Classifier") or [] if c.startswith("License ::")]
+    classes = [c for c in metadata_of.get_all("Classifier") or [] if c.startswith("License ::")]
     classes = [c.rpartition(" :: ")[2] for c in classes if not c.endswith("OSI Approved")]
     if classes:
         return "; ".join(classes)
-    text = str(told.get("License") or "").strip()
+    text = str(metadata_of.get("License") or "").strip()
     if "Redistribution and use in source and binary forms" in text:
         return "BSD, by its text"
-    return text.splitlines()[0][:60] if text else "not told"
+    return text.splitlines()[0][:60] if text else "not stated"
 
 
 def is_free(text: str) -> bool:
-    """Whether one may ship it without giving away one's own source."""
+    """Return True if a licence permits distribution without disclosing source code."""
     return any(word.lower() in text.lower() for word in FREE) and "AGPL" not in text
 
 
 def faults(found: dict[str, str]) -> list[str]:
-    """Packages of a default installation whose licence asks for more, or is not told."""
+    """Packages of a default installation with a licence that requires more, or is not stated."""
     return [f"{name}: {text}" for name, text in sorted(found.items()) if not is_free(text)]
 
 
@@ -91,11 +91,11 @@ def main() -> None:
     parser.add_argument("--extra", action="append", help="only of these extras [default: all]")
     asked = parser.parse_args()
     project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
-    plain, extras = needed(project["dependencies"]), project["optional-dependencies"]
+    plain, extras = required_packages(project["dependencies"]), project["optional-dependencies"]
     if asked.check:
         bad = faults(plain)
         print(*bad, sep="\n")
-        print(f"{len(plain)} packages of the default installation, {len(bad)} whose licence asks for more")
+        print(f"{len(plain)} packages of the default installation, {len(bad)} with a licence that requires more")
         sys.exit(1 if bad else 0)
     print("default installation")
     for name, text in sorted(plain.items()):
@@ -103,7 +103,7 @@ def main() -> None:
     for extra in asked.extra or extras:
         if all(Requirement(line).name == "glintrack" for line in extras[extra]):
             continue  # other extras together
-        more = {n: t for n, t in needed(extras[extra]).items() if n not in plain}
+        more = {n: t for n, t in required_packages(extras[extra]).items() if n not in plain}
         print(f"extra {extra}")
         for name, text in sorted(more.items()):
             print(f"  {name:30s} {text}")

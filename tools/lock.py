@@ -2,7 +2,7 @@
 
 Writes ``requirements.lock``, with the hash of every file (``pip install --require-hashes -r``, as CI does),
 and ``constraints.txt``, the same versions without hashes (``pip install -c``). Pins stay unless ``--upgrade``
-is given or ``pyproject.toml`` asks for others. ``--check`` writes nothing: it resolves the constraints anew
+is given or ``pyproject.toml`` asks for others. ``--check`` writes nothing: it resolves the constraints again
 for the oldest and the newest Python, and compares.
 
     python tools/lock.py [--upgrade | --check]
@@ -25,7 +25,7 @@ HEADER = {
 
 
 def compile_pins(*arguments: str) -> str:
-    """What uv resolves for the extra ``complete``, as text of a requirements file."""
+    """Resolve the extra ``complete`` with uv; returns the text of a requirements file."""
     command = [sys.executable, "-m", "uv", "pip", "compile", "pyproject.toml", "--extra", "complete"]
     quiet = ("--quiet", "--no-header", "--no-annotate")
     done = subprocess.run([*command, *quiet, *arguments], cwd=ROOT, capture_output=True, text=True)

@@ -3,7 +3,7 @@
     python tools/make_atmosphere_tables.py
 
 Run it after anything that changes `AtmosphereDesign`'s content key or the numbers; the old files are removed.
-The solver's threads add in an order of their own: tables solved anew differ by up to 2e-4 of `path_gas`.
+The solver's threads add in an order of their own: new tables differ by up to 2e-4 of `path_gas`.
 """
 
 import shutil

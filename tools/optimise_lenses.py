@@ -40,7 +40,7 @@ def start() -> LensDesign:
     )
 
 
-def optimised(lens: LensDesign) -> LensDesign:
+def optimise(lens: LensDesign) -> LensDesign:
     """The same with radii and distances moved for small spots."""
     optic = build_optic(lens)
     problem = optimization.OptimizationProblem()
@@ -77,7 +77,7 @@ def write(lens: LensDesign, name: str) -> None:
 
 def main() -> None:
     """Optimise and write both."""
-    relay = optimised(start())
+    relay = optimise(start())
     ruled = relay.surfaces[1].replace({"grating_period_um": PERIOD_UM, "grating_order": -1})
     spectrometer = relay.replace(
         {

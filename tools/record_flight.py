@@ -2,7 +2,7 @@
 
 A recording holds three sensors behind the same lens, of the same light, poses and truth:
 
-- ``flown``: the case's own;
+- ``own``: the case's own;
 - ``unpolarized``: the same behind a depolarizer (S1 = S2 = 0): what is found without polarization;
 - ``pan``: every element panchromatic.
 
@@ -30,7 +30,7 @@ from glintrack.results.epoch import Epoch
 from glintrack.sensor import build_sensor, detector_readout, frame_of, mosaic_of, serve, smear
 from glintrack.track.detect.detections import no_detections
 
-SENSORS = ("flown", "unpolarized", "pan")
+SENSORS = ("own", "unpolarized", "pan")
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Recording:
     lanes: tuple[Array, ...]
     extent_m: tuple[float, float, float, float]
 
-    def seen(self, sensor: str = "flown") -> Iterator[track.Frame]:
+    def sensor_frames(self, sensor: str = "own") -> Iterator[track.Frame]:
         """The frames for a tracker."""
         camera = self.cameras[sensor]
         for time_s, pose, pictures in self.frames:

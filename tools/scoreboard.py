@@ -70,7 +70,7 @@ class Row:
 
     @property
     def key(self) -> tuple[str, str, str, str]:
-        """What the row is about."""
+        """Subject of the row."""
         return self.part, self.case, self.channel, self.quantity
 
 
@@ -308,11 +308,11 @@ def main() -> None:
     at_hand = ROOT.parent / "shared" / "situations"
     parts = ("code", "validation", "given", "peers", "tracks")
     parser.add_argument("--quick", action="store_true", help="one seed and few frames")
-    parser.add_argument("--output", type=Path, default=Path("scoreboard.md"), help="Markdown; CSV beside it")
+    parser.add_argument("--output", type=Path, default=Path("scoreboard.md"), help="Markdown; and CSV")
     parser.add_argument("--situations", type=Path, default=at_hand if at_hand.is_dir() else None)
     parser.add_argument("--benchmarks", type=Path, nargs="*", default=[], metavar="FILE.json")
     parser.add_argument("--before", type=Path, metavar="FILE.csv", help="rows of another commit")
-    parser.add_argument("--root", type=Path, default=ROOT, help="checkout whose code is counted")
+    parser.add_argument("--root", type=Path, default=ROOT, help="checkout to count code in")
     parser.add_argument(
         "--only", nargs="+", choices=parts, default=parts, metavar="PART", help=", ".join(parts)
     )

@@ -1,6 +1,6 @@
 """Write the tables of docs/findings.md from the rows in docs/findings, and hold its sentences to them.
 
-    python tools/tabulate_findings.py          # writes the tables anew
+    python tools/tabulate_findings.py          # writes the tables
     python tools/tabulate_findings.py --check  # says what differs, and ends with 1
 
 The rows are those of the report of a study, `study-NAME/report/*.csv`. A figure with its interval,
@@ -154,7 +154,7 @@ def strays(text: str, known: Iterable[tuple[float, float, float]]) -> list[str]:
 
 
 def known_rows() -> list[tuple[Row, int]]:
-    """Effects of Table 1 whose sign is known beforehand, and that sign."""
+    """Effects of Table 1 with a sign that is known beforehand, and that sign."""
     scores = "held_per_km2", "completeness_visible", "custody"
     return [
         (row, KNOWN_BETTER[axis, level])
@@ -164,7 +164,7 @@ def known_rows() -> list[tuple[Row, int]]:
 
 
 def contradicts(row: Row, sign: int) -> bool:
-    """Whether a row is told from chance with the other sign."""
+    """Return True if a row is significant with the opposite sign."""
     return bool(_star(row)) and sign * float(row["effect"]) < 0
 
 
@@ -172,7 +172,7 @@ TABLES = {"table1": table1, "loss_budget": loss_budget, "standard": standard}
 
 
 def written(text: str) -> str:
-    """The page's text with its tables made anew."""
+    """Text of the page with new tables."""
     for name, lines in TABLES.items():
         begin, end = f"<!-- {name}: written by python tools/tabulate_findings.py -->\n", "\n<!-- end -->"
         before, rest = text.split(begin)
@@ -209,7 +209,7 @@ def _rounds_to(figure: str, value: float) -> bool:
     return abs(float(figure.replace("−", "-")) - value) <= 0.5 * 10**-decimals + 1e-12
 
 
-def _signed(value: float, digits: int) -> str:
+def _format_signed(value: float, digits: int) -> str:
     return f"{value:+.{digits}f}".replace("-", "−")
 
 
@@ -218,13 +218,13 @@ def _effect(row: Row | None, digits: int) -> str:
         return ""
     if not row["low"]:  # the same in each flight
         return "0"
-    low, high = (_signed(float(row[name]), digits) for name in ("low", "high"))
-    return f"{_signed(float(row['effect']), digits)} ({low} … {high}){_star(row)}"
+    low, high = (_format_signed(float(row[name]), digits) for name in ("low", "high"))
+    return f"{_format_signed(float(row['effect']), digits)} ({low} … {high}){_star(row)}"
 
 
 def _bare_effect(row: Row) -> str:
     effect = round(float(row["effect"]), 3)
-    return (_signed(effect, 3) if effect else "0") + _star(row)
+    return (_format_signed(effect, 3) if effect else "0") + _star(row)
 
 
 def _star(row: Row) -> str:

@@ -340,7 +340,7 @@ def compare(name: str, mesh: Mesh, samples: int = 512, side_px: int = SIDE_PX) -
     peer += mitsuba_stokes(mi, dr, mitsuba_scene(mi, mesh, {"sky": {"type": "rayleigh_sky"}}), *view, samples)
     table = np.array(list(MATERIALS.values()))[hits.material[seen]]
     smooth = (table[:, 4] > 0) & (table[:, 3] == 0)  # whose one mirrored ray is known to be free
-    open_to_all = smooth | _unshaded(mi, dr, mesh, pose.position, directions)
+    open_to_all = smooth | _unoccluded(mi, dr, mesh, pose.position, directions)
     open_to_all &= peer[:, 0] > 0  # black: a mirrored ray that met the object's own edge
     pictures = np.full((2, side_px * side_px, 3), np.nan)
     flat = stokes.reshape(-1, 3)
@@ -369,8 +369,8 @@ def comparable(hits) -> np.ndarray:
     return on_object & (~smooth | (to_sky & ~glint)) & (~rough | lobe_in_sky)
 
 
-def _unshaded(mi, dr, mesh: Mesh, lens, directions, samples: int = 1024) -> np.ndarray:
-    """Where no part of the object shades another: there a white body in an even glow is as bright as it."""
+def _unoccluded(mi, dr, mesh: Mesh, lens, directions, samples: int = 1024) -> np.ndarray:
+    """Parts of the object that no other part occludes: white in uniform light, they are as bright as it."""
     white = {"type": "diffuse", "reflectance": {"type": "uniform", "value": 1.0}}
     glow = {"sky": {"type": "constant", "radiance": {"type": "uniform", "value": 1.0}}}
     scene = mitsuba_scene(mi, mesh, glow, lambda name: white)

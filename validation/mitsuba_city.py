@@ -81,7 +81,7 @@ class Pair:
 
 
 def cut(snapshot: Snapshot, side_m: float, ground: int, margin_m: float = 60.0) -> Snapshot:
-    """What of a scene stands within a square about its middle, and a margin around it."""
+    """Select the part of a scene within a square around its middle and a margin."""
     far = 0.5 * side_m + margin_m
     corners = snapshot.static.vertices[snapshot.static.faces][..., :2]
     inside = (corners.min(axis=1) < far).all(axis=1) & (corners.max(axis=1) > -far).all(axis=1)
@@ -236,7 +236,7 @@ def full_path(mi, dr, scenes, view_rays, shaded: np.ndarray, options) -> tuple[n
 
 
 def classes_of(view: View, materials) -> dict[str, np.ndarray]:
-    """Which of the chosen rays fall into each class, in sun and in shade."""
+    """Select the rays of each class, in sun and in shade."""
     hits, rays = view.hits, view.rays
     names = materials["material"].values
     name, lit = names[hits.material[rays]], hits.sun_visible[rays] > 0.5
@@ -298,7 +298,7 @@ def vehicles(pair: Pair, same: np.ndarray, view: View, least: int = 5) -> np.nda
 
 
 def print_table(title: str, pair: Pair, same, view: View, materials) -> None:
-    """What was left out, and a row a class."""
+    """Print what was left out, and a row for each class."""
     print(f"\n{title}")
     counts = ", ".join(f"{name} {n}" for name, n in view.excluded.items())
     print(f"of {view.hits.material.size} rays left out: {counts}")

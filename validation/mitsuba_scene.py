@@ -131,15 +131,15 @@ def _uniform(value: float) -> dict:
     return {"type": "uniform", "value": value}
 
 
-def _passed(s: Surface) -> float:
-    """What the whole interface lets through of an even glow, T̄."""
+def _mean_transmittance(s: Surface) -> float:
+    """Mean transmittance of the interface for uniform light, T̄. [1]"""
     cosine = np.linspace(0, 1, 1001)
     return float(2 * np.trapezoid(cosine * [1 - fresnel(c, s.n, s.k)[0] for c in cosine], cosine))
 
 
 def bsdf(s: Surface) -> dict:
     """The Mitsuba surface that has the energy and the polarization of ours."""
-    passed = _passed(s)
+    passed = _mean_transmittance(s)
     index = {"eta": _uniform(s.n), "k": _uniform(s.k)}
     facets = {"type": "roughconductor", "distribution": "ggx", "alpha": s.alpha, **index}
     if s.tau > 0:

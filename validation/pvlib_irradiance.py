@@ -1,4 +1,4 @@
-"""Print direct normal irradiance beside pvlib's spectrl2 (Bird and Riordan 1986) as a Markdown table.
+"""Print direct normal irradiance and that of pvlib's spectrl2 (Bird and Riordan 1986) as a Markdown table.
 
     python validation/pvlib_irradiance.py
 

@@ -168,7 +168,7 @@ def picture(scene: Sequence, k: int, places: np.ndarray, scale: int = 3) -> Imag
 
 
 def main() -> None:
-    """Print the table, and draw if asked."""
+    """Print the table, and optionally draw."""
     parser = argparse.ArgumentParser(description="Vehicles in real wide-area frames: F1 by detector")
     parser.add_argument("folder", type=Path, help="clone of the named repository")
     parser.add_argument("--only", nargs="*", help="methods")

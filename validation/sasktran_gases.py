@@ -1,4 +1,4 @@
-"""What the tables' gases cost: sky and path beside exponential sums with absorption solved in.
+"""Error of the tables' gases: sky and path compared with exponential sums with absorption solved in.
 
     python validation/sasktran_gases.py [--bands 0.69 0.76 0.94]
 
@@ -60,7 +60,7 @@ def solved_in(design: AtmosphereDesign, um: float, d: Directions) -> tuple[Array
 
 @dataclass(frozen=True)
 class Errors:
-    """Of one band: the tables' over what is solved in, less 1, and DoLP's difference.
+    """Compare one band: ratio of the tables to the solution, less 1, and difference of DoLP.
 
     ``sky``, ``sky_dolp``: the largest to 60° from the zenith. ``mean``: of the sky's mean radiance
     there. ``path``: (altitude, view), mean over azimuth.

@@ -5,10 +5,9 @@ from dataclasses import FrozenInstanceError, fields
 import numpy as np
 import pytest
 
-from glintrack.core.records import Detection, ServedQueries, SpectralQuery
+from glintrack.core.records import ServedQueries, SpectralQuery
 
 RECORDS = (
-    Detection(1.0, 2.0, 0.3, 0.3),
     SpectralQuery(1.0, 2.0),
     ServedQueries((), np.zeros(0, int), np.zeros(0, int), ()),
 )

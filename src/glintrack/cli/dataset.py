@@ -35,8 +35,7 @@ app = command_app(
 @app.command("build")
 def build(
     case: Annotated[
-        list[str],
-        argument("Case files, packaged cases, 'standard' (extra `traffic`) or 'standard/*-clear'"),
+        list[str], argument("Case files, packaged cases, 'standard' (extra `traffic`) or 'standard/*-clear'")
     ],
     output: Annotated[Path, option("Folder of the set: new, or of a stopped build", "-o", "--output")],
     frames: Annotated[int | None, option("Frames of each case [default: its own, or 20]")] = None,

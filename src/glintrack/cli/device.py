@@ -161,10 +161,7 @@ def _describe_settling(design: MicromirrorDesign, table: xr.Dataset) -> str:
 
 
 def _draw(
-    path: Path,
-    draw: Callable[[Figure], object],
-    console: Console,
-    size: tuple[float, float] = (12, 9),
+    path: Path, draw: Callable[[Figure], object], console: Console, size: tuple[float, float] = (12, 9)
 ) -> None:
     figure = Figure(figsize=size, layout="constrained")
     draw(figure)

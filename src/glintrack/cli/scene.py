@@ -15,15 +15,7 @@ from glintrack.io.toml import to_toml
 from glintrack.io.untrusted import resolve_path
 from glintrack.render.preview import preview
 from glintrack.results.figures.frame import azimuth_of, in_view, picture_figure
-from glintrack.scene import (
-    City,
-    SceneDesign,
-    build_scene,
-    fcd_table,
-    glb,
-    record_traffic,
-    write_recording,
-)
+from glintrack.scene import City, SceneDesign, build_scene, fcd_table, glb, record_traffic, write_recording
 
 app = command_app("Build a city from your own data, preview it, export it.")
 SceneArgument = Annotated[

@@ -70,10 +70,7 @@ app = command_app(
 
 @app.command("run")
 def run(
-    study: Annotated[
-        str,
-        argument("Study file (TOML), or a packaged study (`glintrack case list`)"),
-    ],
+    study: Annotated[str, argument("Study file (TOML), or a packaged study (`glintrack case list`)")],
     output: Annotated[Path | None, option("New folder [default: study-NAME]", "-o", "--output")] = None,
     scheduler: Annotated[str | None, option("Dask scheduler tcp://HOST:PORT, or 'local'")] = None,
     workers: Annotated[int | None, option("Processes on this machine [default: one per core]", min=1)] = None,
@@ -126,8 +123,7 @@ def run(
 
 @app.command("report")
 def report(
-    result: Annotated[Path, argument("Folder of a study's results.")],
-    require: RequireOption = None,
+    result: Annotated[Path, argument("Folder of a study's results.")], require: RequireOption = None
 ) -> None:
     """Effects with intervals, contrasts, ranks, Pareto front and more; writes tables and figures."""
     requirements = [read_requirement(text) for text in require or []]
@@ -154,9 +150,7 @@ def report(
 
 
 def _compare_with_requirements(
-    console: Console,
-    results: tuple[pd.DataFrame, Mapping[str, Any]],
-    requirements: Sequence[Requirement],
+    console: Console, results: tuple[pd.DataFrame, Mapping[str, Any]], requirements: Sequence[Requirement]
 ) -> None:
     """Print a table for each requirement with a row for each design; exit unless all designs meet all."""
     found = []
@@ -233,10 +227,7 @@ def _print_plan(console: Console, plan: Plan, folder: StudyFolder, cache: Path, 
             "cases",
             f"{len(plan.cases)} ({len(plan.points) // len(every)} designs{times}), {len(todo)} to simulate",
         ),
-        (
-            "frames",
-            f"{ahead.frames}: {traced} to trace, {ahead.in_cache} cached, {ahead.repeats} shared",
-        ),
+        ("frames", f"{ahead.frames}: {traced} to trace, {ahead.in_cache} cached, {ahead.repeats} shared"),
         ("time", f"{format_duration(pace.remaining_s(workers))} with {workers} workers, {source}"),
         (
             "disk",

@@ -40,8 +40,7 @@ _SEVERAL, _SMALL_M = 1.5, 5.0  # detections per time, and the extent below which
 @app.command()
 def track_files(
     source: Annotated[
-        Path,
-        argument("CSV file of detections, folder of frames, .nc or .zarr stack, or video"),
+        Path, argument("CSV file of detections, folder of frames, .nc or .zarr stack, or video")
     ],
     output: Annotated[Path, option(f"New folder for tracks{', tracks'.join(WRITERS)}", "-o", "--output")],
     sigma_m: Annotated[float, option("Standard deviation of positions [m]", "--sigma-m")] = 0.5,
@@ -153,11 +152,7 @@ def _explain_no_tracks(times_s: Sequence[float]) -> str:
 
 
 def _write(
-    console: Console,
-    output: Path,
-    rows: xr.Dataset,
-    place: TrackGeoreference,
-    swept: list[dict[str, float]],
+    console: Console, output: Path, rows: xr.Dataset, place: TrackGeoreference, swept: list[dict[str, float]]
 ) -> None:
     """Write tracks and ROC curve into a new folder, and print how many tracks there are."""
     count = len(set(rows["track_id"].values.tolist())) if "track_id" in rows else 0

@@ -81,9 +81,7 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
         "height": Variable(("vehicle",), "m", 0),
     },
     # devices -> sensor
-    "etalon": {
-        "transmittance": Variable(("gap", "wavelength"), "1", 0, 1),
-    },
+    "etalon": {"transmittance": Variable(("gap", "wavelength"), "1", 0, 1)},
     # sensor -> ortho: superpixels, y and x in elements of the array
     "frame": {
         "pan": Variable(("y", "x"), RADIANCE, nan_allowed=True, or_units=COUNT),
