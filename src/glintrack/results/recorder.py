@@ -96,7 +96,7 @@ class Recorder:
         self._queries[epoch.channel] = self._queries.get(epoch.channel, Rows()).append(_query_rows(epoch))
         if self.grid is None:
             self.grid = grid_of(Frame(epoch.time_s, epoch.image), None)
-        found = replace(epoch.detections, box=None, earlier_s=(), earlier=None, detail=None)
+        found = replace(epoch.detections, earlier_s=(), earlier=None, detail=None)
         self.found.setdefault(epoch.channel, []).append((epoch.time_s, found))
         if epoch.channel == self.case.channels[0]:
             self._note_paints(epoch)
