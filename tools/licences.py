@@ -95,7 +95,7 @@ def main() -> None:
     if asked.check:
         bad = faults(plain)
         print(*bad, sep="\n")
-        print(f"{len(plain)} packages of the default installation, {len(bad)} with a licence that requires more")
+        print(f"{len(plain)} packages by default, {len(bad)} with a licence that requires more")
         sys.exit(1 if bad else 0)
     print("default installation")
     for name, text in sorted(plain.items()):
