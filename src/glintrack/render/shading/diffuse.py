@@ -29,6 +29,7 @@ ones.
 """
 
 import math
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
@@ -195,14 +196,13 @@ def blend_cell(where, behind, here, off, cells, lit, around):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def add_sky_of_body(where, node, rays, light, around):
+def add_sky_of_body(where, node, probes, around):
     """Add the sky of a vehicle's facet, by its own normal.
 
     v_b is a mean over the cell's probes, weighted with the light of the patch on each.
     """
-    cells, facing, patches = rays.probe_cells, rays.probe_facing, rays.probe_patches
-    (a, b, c, d), (w00, w10, w01, w11) = _weights(where, False, cells, light.probes)
-    of_patch = light.of_patch
+    facing, patches, of_patch = probes.facing, probes.patches, probes.of_patch
+    (a, b, c, d), (w00, w10, w01, w11) = _weights(where, False, probes.cells, probes.lit)
     fa, fb, fc, fd = of_patch[facing[a]], of_patch[facing[b]], of_patch[facing[c]], of_patch[facing[d]]
     for patch in range(patches.shape[1]):
         one, two = w00 * fa[patch], w10 * fb[patch]
@@ -212,7 +212,7 @@ def add_sky_of_body(where, node, rays, light, around):
             above = one * patches[a, patch] + two * patches[b, patch]
             part = (above + three * patches[c, patch] + four * patches[d, patch]) / all_four
             for e in range(around.shape[0]):
-                around[e] += part * light.by_patch[node, patch, e]
+                around[e] += part * probes.by_patch[node, patch, e]
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
@@ -252,31 +252,70 @@ def fill_air_row(lights, step, row, known_step, here, width):
             here[row, e, x] = under + part * (over - under)
 
 
-@nb.njit(cache=True, forceinline=True)
-def add_base(hit, scale, enter, even, q, u, rays, step, width, surfaces, light, scratch):
+class Bases(NamedTuple):
+    """Light of diffuse bases through the air, and working arrays of `add_base`.
+
+    numba counts references to each array of a tuple that a function takes, so `pixels` hands on small tuples.
+
+    Parameters
+    ----------
+    lit
+        See `projection.Light`.
+    step, here
+        ``lit`` through the air of one fine step of airmass, and that step, by row.
+    base
+        Light on a base: sun, surroundings, and each diffuse component.
+    around
+        Irradiance of each diffuse component on a facet.
+    total
+        Stokes radiance of one element by channel.
+    """
+
+    lit: Float[Array, "airmass material light channel"]
+    step: Int[Array, "row"]
+    here: Float[Array, "row light channel"]
+    base: Float[Array, "light"]
+    around: Float[Array, "diffuse_component"]
+    total: Float[Array, "3 channel"]
+
+
+class Probes(NamedTuple):
+    """Probes of a frame (`Hits`) and their light (`projection.Light`)."""
+
+    cells: Int[Array, "cell 4"]
+    facing: Int[Array, "probe"]
+    patches: Int[Array, "probe patch"]
+    lit: Float[Array, "probe light_and_2"]
+    of_patch: Float[Array, "normal patch"]
+    by_patch: Float[Array, "normal patch diffuse_component"]
+    near_sun: Float[Array, "normal cap_and_ring diffuse_component"]
+    irradiance: Float[Array, "normal diffuse_component"]
+    followed: bool
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def add_base(hit, scale, enter, even, q, u, step, width, at_angle, leaf, bases, probes):
     """Add the light of the base, and the transmission of a leaf from behind.
 
     The base has ``scale``, its share of the element over π times the mottle. Its interface and grooves pass
     ``enter`` of the sun's light and ``even`` of the sky's; the light that leaves is polarized by ``q`` and
     ``u``. Return the result of `mirror_place`.
     """
-    base, at_angle = scratch.base, surfaces.at_angle
-    lit_step, lit_here, m = scratch.lit_step, scratch.lit_here, hit.material
+    base, m = bases.base, hit.material
     base[0] = 0.0
     if hit.cos_sun > 0 and hit.sunlight > 0:
         leave = interpolate_angles(at_angle, m, hit.cos_sun)[0]
         base[0] = scale * enter * leave * hit.cos_sun * hit.sunlight
-    leaf = surfaces.leaf[m]
-    on_body = rays.light_cell[hit.ray] <= SPACE and not leaf
-    place = _set_diffuse(hit, scale * even, False, on_body, rays, light, scratch)
-    fill_air_row(light.lit, step, m, lit_step, lit_here, width)
-    _add_base_light(base, lit_here, m, q, u, width, scratch.total)
-    if leaf:
-        behind = m + surfaces.leaf.shape[0]
+    on_body = hit.cell <= SPACE and not leaf[m]
+    place = _set_diffuse(hit, scale * even, False, on_body, probes, base, bases.around)
+    fill_air_row(bases.lit, step, m, bases.step, bases.here, width)
+    _add_base_light(base, bases.here, m, q, u, width, bases.total)
+    if leaf[m]:
+        behind = m + leaf.shape[0]
         base[0] = scale * -hit.cos_sun * hit.sunlight if hit.cos_sun < 0 else 0.0
-        _set_diffuse(hit, scale, True, False, rays, light, scratch)
-        fill_air_row(light.lit, step, behind, lit_step, lit_here, width)
-        _add_base_light(base, lit_here, behind, q, u, width, scratch.total)
+        _set_diffuse(hit, scale, True, False, probes, base, bases.around)
+        fill_air_row(bases.lit, step, behind, bases.step, bases.here, width)
+        _add_base_light(base, bases.here, behind, q, u, width, bases.total)
     return place
 
 
@@ -325,34 +364,32 @@ def _fill_irradiance(nx, ny, nz, irradiance, around):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _set_diffuse(hit, scale, behind, on_body, rays, light, scratch):
+def _set_diffuse(hit, scale, behind, on_body, probes, base, around):
     """Set ``base[1:]``, light of surroundings and sky on a facet or its other side; return `mirror_place`."""
-    base, around = scratch.base, scratch.around
-    cell, part = rays.light_cell[hit.ray], rays.light_part[hit.ray]
-    left, here = rays.sky_left[hit.ray] / 255.0, rays.sky_here[hit.ray]
+    left, here = hit.sky_left, hit.sky_here
     nz, view = -hit.nz if behind else hit.nz, 1.0 if behind else hit.sky_view
     sky_part = 0.5 * (1.0 + nz) * view
-    if cell != OPEN:
-        shaded = cell >= 0 and hit.cos_sun > 0 and left == 1.0 and not behind
+    if hit.cell != OPEN:
+        shaded = hit.cell >= 0 and hit.cos_sun > 0 and left == 1.0 and not behind
         hidden = 1.0 - hit.sunlight if shaded else 0.0
         off = surface_gain(here, sky_part / max(left, 1e-3))
         others, by_sky = (off * tilt_gain(hit.nz, view), 0.0) if on_body else (off, float(here))
-        where = cell, part[0], part[1]
-        cap = blend_cell(where, behind, by_sky, (off, others), rays.probe_cells, light.probes, around)
+        where = hit.cell, hit.part_x, hit.part_y
+        cap = blend_cell(where, behind, by_sky, (off, others), probes.cells, probes.lit, around)
         node = node_of_normal(hit.nx, hit.ny, hit.nz)
         if on_body:
-            add_sky_of_body(where, node, rays, light, around)
+            add_sky_of_body(where, node, probes, around)
         elif hidden > 0:
             by_cap = np.float32(hidden * here * CAP_LOST * cap * cap)
             by_ring = np.float32(hidden * here * RING_LOST * cap * cap * cap)
             for e in range(around.shape[0]):
-                around[e] -= by_cap * light.near_sun[node, 0, e] + by_ring * light.near_sun[node, 1, e]
+                around[e] -= by_cap * probes.near_sun[node, 0, e] + by_ring * probes.near_sun[node, 1, e]
         strength = np.float32(scale * left)
-        base[1] = 0.0 if light.followed else scale * (1.0 - sky_part)
-        mirrored = mirror_place(around, left, sky_part, light.followed)
+        base[1] = 0.0 if probes.followed else scale * (1.0 - sky_part)
+        mirrored = mirror_place(around, left, sky_part, probes.followed)
     else:
         nx, ny = (-hit.nx, -hit.ny) if behind else (hit.nx, hit.ny)
-        _fill_irradiance(nx, ny, nz, light.irradiance, around)
+        _fill_irradiance(nx, ny, nz, probes.irradiance, around)
         strength = np.float32(scale * view)
         base[1] = scale * (1.0 - sky_part)
         mirrored = view, 1.0

@@ -43,21 +43,20 @@ _MIX_X, _MIX_Y, _MIX_Z = 40993.0, 79193.0, 15437.0  # spread the normals over th
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def gather_around(nx, ny, nz, optical, terms, r, c, rough, at, facet):
+def gather_around(normal, optical, terms, look, rough, at, facet):
     """Interpolate the table of rough reflection to a facet's normal, at each of the four looks around.
 
     The next row meets the same facets: ``facet`` holds some, with keys in ``at``. Return the facet's slot.
     """
-    row_low, column_low = rough.grid.row_low[r], rough.grid.column_low[c]
-    rows, columns = rough.grid.direction.shape[:2]
+    (nx, ny, nz), (row_low, _, column_low, _, rows, columns) = normal, look
+    first_row, gathered, soft = rough
     place = float(row_low * columns + column_low)
     slot = int(abs(nx * _MIX_X + ny * _MIX_Y + nz * _MIX_Z) + optical * 11 + place * 5) & (CACHED_FACETS - 1)
     known = at[slot, 0] == optical and at[slot, 1] == place
     if known and at[slot, 2] == nx and at[slot, 3] == ny and at[slot, 4] == nz:
         return slot
     at[slot, 0], at[slot, 1], at[slot, 2], at[slot, 3], at[slot, 4] = optical, place, nx, ny, nz
-    first_row, gathered = rough.first, rough.gathered
-    stride = 2 if rough.soft[optical] else 1
+    stride = 2 if soft[optical] else 1
     i, k, fx, fy = square_cell(nx, ny, nz, stride)
     w11 = np.float32(fx * fy)
     w10, w01 = np.float32(fx) - w11, np.float32(fy) - w11
@@ -77,20 +76,20 @@ def gather_around(nx, ny, nz, optical, terms, r, c, rough, at, facet):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def add_gathered(around, terms, amounts, skies, r, c, rough, facet, slot, mixed, mirrored):
+def add_gathered(around, terms, amounts, skies, look, facet, slot, mixed, mirrored):
     """Interpolate between the looks around, and add the light of sun, surroundings and sky.
 
     ``around`` is the weight of the reflection, the result of `diffuse.mirror_place`, and the transmittance of
     the sun's light. [1] Return I, Q and U off surfaces of radiance 1, for Fresnel terms of some ``amounts``.
     """
     weight, (sky_view, off_mean), sunlight = around
-    row_part, column_part = rough.grid.row_part[r], rough.grid.column_part[c]
+    _, row_part, _, column_part, _, columns = look
     w11 = np.float32(weight * row_part * column_part)
     w10, w01 = np.float32(weight * row_part) - w11, np.float32(weight * column_part) - w11
     w00 = np.float32(weight) - w10 - w01 - w11
     sky, glint = np.float32(sky_view), np.float32(sunlight)
     below, above = np.float32(off_mean), np.float32((1.0 - sky_view) * off_mean)
-    side, i, q, u = terms if rough.grid.direction.shape[1] > 1 else 0, 0.0, 0.0, 0.0
+    side, i, q, u = terms if columns > 1 else 0, 0.0, 0.0, 0.0
     for term in range(terms):
         for x in range(facet.shape[3]):
             low = w00 * facet[slot, 0, term, x] + w01 * facet[slot, 0, side + term, x]
@@ -125,41 +124,39 @@ def set_path(where, path, share, width, total):
 
 
 @nb.njit(cache=True, forceinline=True)
-def mirror_unit_light(hit, weight, optical, terms, surfaces, axis):
+def mirror_unit_light(hit, weight, optical, terms, fresnel, amounts, axis):
     """I, Q and U of unpolarized light 1 after reflection by a smooth surface."""
     c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, axis)[3:]
     intensity, polarized = 0.0, 0.0
     for term in range(terms):
-        m00, m01, _ = fresnel_term(surfaces.fresnel, optical, term, hit.cos_view)
-        intensity += surfaces.reference[optical, term] * m00
-        polarized += surfaces.reference[optical, term] * m01
+        m00, m01, _ = fresnel_term(fresnel, optical, term, hit.cos_view)
+        intensity += amounts[optical, term] * m00
+        polarized += amounts[optical, term] * m01
     q, u = rotate_qu(polarized, 0.0, c_out, s_out)
     return weight * intensity, weight * q, weight * u
 
 
 @nb.njit(cache=True, forceinline=True)
-def mirror_base(hit, mirrored, rays, step, width, light, scratch):
+def mirror_base(there, mirrored, seen, step, width, bases, probes):
     """Add the mirrored base, lit by sun, sky and surroundings.
 
-    ``mirrored`` are I, Q and U of unpolarized light 1 after the reflection.
+    ``mirrored`` are I, Q and U of unpolarized light 1 after the reflection. ``seen`` has the fields of `Hits`
+    for the mirrored surface of material ``there``: sun, sky, cell, both parts of the cell, here, and left.
     """
-    there, cell = int(rays.mirror_material[hit.ray]), rays.mirror_cell[hit.ray]
-    base, around, total = scratch.base, scratch.around, scratch.total
-    base[0] = rays.mirror_sun[hit.ray] / math.pi
-    sky_view = rays.mirror_sky[hit.ray]
+    sun, sky_view, cell, part_x, part_y, sky_here, left = seen
+    base, around, total, here = bases.base, bases.around, bases.total, bases.here
+    base[0] = sun / math.pi
     if cell != OPEN:
-        part, here = rays.mirror_part[hit.ray], rays.mirror_here[hit.ray]
-        left, off = rays.mirror_left[hit.ray] / 255.0, surface_gain(here, sky_view)
-        blend_cell((cell, part[0], part[1]), False, here, (off, off), rays.probe_cells, light.probes, around)
-        base[1] = 0.0 if light.followed else (1.0 - sky_view) / math.pi
+        off = surface_gain(sky_here, sky_view)
+        blend_cell((cell, part_x, part_y), False, sky_here, (off, off), probes.cells, probes.lit, around)
+        base[1] = 0.0 if probes.followed else (1.0 - sky_view) / math.pi
         for k in range(base.shape[0] - 2):
             base[2 + k] = left * around[k] / math.pi
     else:
         base[1] = (1.0 - sky_view) / math.pi
         for k in range(base.shape[0] - 2):
-            base[2 + k] = sky_view / math.pi * light.irradiance[LEVEL_NODE, k]
-    here = scratch.lit_here
-    fill_air_row(light.lit, step, there, scratch.lit_step, here, width)
+            base[2 + k] = sky_view / math.pi * probes.irradiance[LEVEL_NODE, k]
+    fill_air_row(bases.lit, step, there, bases.step, here, width)
     for c in range(width):
         shining = 0.0
         for e in range(here.shape[1]):

@@ -11,6 +11,8 @@ from jaxtyping import Float, Int
 from glintrack.core.arrays import Array
 from glintrack.render.shading.diffuse import (
     FINE_STEPS,
+    Bases,
+    Probes,
     add_base,
     fill_air_row,
     groove_factor,
@@ -91,26 +93,15 @@ class Scratch(NamedTuple):
     ----------
     radiance
         Radiance of the sky components in one direction.
-    base
-        Light on a base: sun, surroundings, and each diffuse component.
-    around
-        Irradiance of each diffuse component on a facet.
-    total
-        Stokes radiance of one element by channel.
     plain, own
         Mirrored components without dispersion, and with spectra of their own.
-    lit_step, lit_here, mirrored_step, mirrored_here, at, facet, mixed
+    mirrored_step, mirrored_here, at, facet, mixed
         See `interface`.
     """
 
     radiance: Float[Array, "sky_component 3"]
-    base: Float[Array, "light"]
-    around: Float[Array, "diffuse_component"]
-    total: Float[Array, "3 channel"]
     plain: Float[Array, "component 3"]
     own: Float[Array, "component 3"]
-    lit_step: Int[Array, "row"]
-    lit_here: Float[Array, "row light channel"]
     mirrored_step: Int[Array, "group"]
     mirrored_here: Float[Array, "group component channel"]
     at: Float[Array, "slot 5"]
@@ -129,19 +120,26 @@ class ShadedFrame(NamedTuple):
     lattice: Float[Array, "cell cell"]
 
 
+class Interfaces(NamedTuple):
+    """Tables of interfaces: see `MaterialTables`, `Light` and `PrefilteredReflection`."""
+
+    fresnel: Float[Array, "optics term cosine 3"]
+    reference: Float[Array, "optics term"]
+    sky_map: Float[Array, "disc disc sky_component 3"]
+    mirrored: Float[Array, "airmass group component channel"]
+    first: Int[Array, "optics normal look"]
+    gathered: Float[Array, "row value"]
+    soft: Int[Array, "optics"]
+
+
 @nb.njit(cache=True, forceinline=True)
 def _scratch(frame):
     light, gathered = frame.light, frame.rough.gathered
-    lit, mirrored, skies, width = light.lit, light.mirrored, light.sky_map.shape[2], light.lit.shape[3]
+    mirrored, skies = light.mirrored, light.sky_map.shape[2]
     return Scratch(
         np.empty((skies, 3), np.float32),
-        np.zeros(lit.shape[2], np.float32),
-        np.empty(light.irradiance.shape[1], np.float32),
-        np.empty((3, width), np.float32),
         np.empty((mirrored.shape[2], 3), np.float32),
         np.empty((mirrored.shape[2], 3), np.float32),
-        np.full(lit.shape[1], -1),
-        np.empty(lit.shape[1:], np.float32),
         np.full(mirrored.shape[1], -1),
         np.empty(mirrored.shape[1:], np.float32),
         np.full((CACHED_FACETS, 5), -2.0),
@@ -150,13 +148,61 @@ def _scratch(frame):
     )
 
 
+@nb.njit(cache=True, forceinline=True)
+def _bases(lit, components):
+    return Bases(
+        lit,
+        np.full(lit.shape[1], -1),
+        np.empty(lit.shape[1:], np.float32),
+        np.zeros(lit.shape[2], np.float32),
+        np.empty(components, np.float32),
+        np.empty((3, lit.shape[3]), np.float32),
+    )
+
+
+@nb.njit(cache=True, forceinline=True)
+def _parts(frame):
+    return frame.rays, frame.surfaces, frame.light, frame.sun, frame.rays.detector_axis
+
+
+@nb.njit(cache=True, forceinline=True)
+def _tables(frame):
+    rays, surfaces, light, rough = frame.rays, frame.surfaces, frame.light, frame.rough
+    probes = Probes(
+        rays.probe_cells, rays.probe_facing, rays.probe_patches, light.probes, light.of_patch, light.by_patch,
+        light.near_sun, light.irradiance, light.followed,
+    )  # fmt: skip
+    interfaces = Interfaces(
+        surfaces.fresnel, surfaces.reference, light.sky_map, light.mirrored, rough.first, rough.gathered,
+        rough.soft,
+    )  # fmt: skip
+    return probes, interfaces
+
+
+@nb.njit(cache=True, forceinline=True)
+def _between_looks(looks, row, column):
+    """Node before a row and its part toward the next, the same of a column, and the numbers of nodes."""
+    rows, columns = looks.direction.shape[0], looks.direction.shape[1]
+    r, c = looks.row_low[row], looks.column_low[column]
+    return r, looks.row_part[row], c, looks.column_part[column], rows, columns
+
+
+@nb.njit(cache=True, forceinline=True)
+def _mirrored_surface(rays, ray):
+    """Fields of `Hits` for the surface that a ray's mirror image shows, without its material."""
+    cell, part = rays.mirror_cell[ray], rays.mirror_part
+    left, here = rays.mirror_left[ray] / 255.0, rays.mirror_here[ray]
+    return rays.mirror_sun[ray], rays.mirror_sky[ray], cell, part[ray, 0], part[ray, 1], here, left
+
+
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def shade_pixels(start, stop, index, frame, out):
     """Fill ``out`` (pixel, 3, channel) for rows of ``index``."""
-    scratch, axis = _scratch(frame), frame.rays.detector_axis
-    rays, surfaces, light, sun = frame.rays, frame.surfaces, frame.light, frame.sun
-    materials, at_angle, grid = rays.material, surfaces.at_angle, light.grid
-    plain, own, total = scratch.plain, scratch.own, scratch.total
+    rays, surfaces, light, sun, axis = _parts(frame)
+    probes, interfaces = _tables(frame)
+    scratch, bases = _scratch(frame), _bases(light.lit, light.irradiance.shape[1])
+    materials, at_angle, grid, looks = rays.material, surfaces.at_angle, light.grid, frame.rough.grid
+    plain, own, total = scratch.plain, scratch.own, bases.total
     airmasses, columns, width = light.lit.shape[0] - 1, rays.columns, light.lit.shape[3]
     block = 2 + light.sky_map.shape[2]
     toward_sun = np.float32(sun[0]), np.float32(sun[1]), np.float32(sun[2])
@@ -177,6 +223,7 @@ def shade_pixels(start, stop, index, frame, out):
             step = int(node * FINE_STEPS + 0.5)
             where = grid.row_low[row], grid.row_part[row], grid.column_low[column], grid.column_part[column]
             set_path(where, light.path, ground, width, total)
+        look = _between_looks(looks, row, column)
         for ray in range(begin, end):
             m, share = int(materials[ray]), float(rays.weight[ray])
             dx, dy, dz = rays.look[element, 0], rays.look[element, 1], rays.look[element, 2]
@@ -193,15 +240,31 @@ def shade_pixels(start, stop, index, frame, out):
             contrast = np.float32(surfaces.mottle[m]) if rays.vehicle_id[ray] < 0 else _ZERO
             px, py, pz = rays.point[ray, 0], rays.point[ray, 1], rays.point[ray, 2]
             sunlight, sky_view = float(rays.sun_visible[ray]), float(rays.sky_view[ray])
-            hit = Hit(dx, dy, dz, nx, ny, nz, view, sunward, sunlight, sky_view, m, ray)
+            cell, part_x, part_y = rays.light_cell[ray], rays.light_part[ray, 0], rays.light_part[ray, 1]
+            here, left = rays.sky_here[ray], rays.sky_left[ray] / 255.0
+            hit = Hit(
+                dx, dy, dz, nx, ny, nz, view, sunward, sunlight, sky_view, m, cell, part_x, part_y, here, left
+            )
             scale = share / math.pi * _mottle(px, py, pz, contrast, frame.lattice)
             enter, even, coat, degree = interpolate_angles(at_angle, m, view)
             enter *= groove_factor(hit, sun, surfaces.groove[m])
             q, u = -degree * turn_c, degree * turn_s
-            place = add_base(hit, scale, enter, even, q, u, rays, step, width, surfaces, light, scratch)
+            place = add_base(
+                hit, scale, enter, even, q, u, step, width, at_angle, surfaces.leaf, bases, probes
+            )
             if surfaces.polarized[m] > 0 and sunward > 0 and sunlight > 0:
                 add_polarized(hit, surfaces, share, sun, axis, plain)
-            _add_interface(hit, place, row, column, coat, share, step, width, frame, scratch)
+            weight, k = surfaces.weight[m] * share, surfaces.optics[m]
+            if weight == 0.0:
+                continue
+            there, alpha, terms = int(rays.mirror_material[ray]), surfaces.alpha[k], surfaces.terms[k]
+            lobe = k, weight * hit.sunlight if sunward > 0 else 0.0, alpha, surfaces.distribution[k], terms
+            shown = _add_interface(
+                hit, place, there >= 0, lobe, light.group[k], look, (weight, share * coat), step,
+                width, sun, axis, interfaces, scratch, total,
+            )  # fmt: skip
+            if there >= 0:
+                mirror_base(there, shown, _mirrored_surface(rays, ray), step, width, bases, probes)
         if ground > 0:
             fill_air_row(light.mirrored, step, 0, scratch.mirrored_step, scratch.mirrored_here, width)
             _add_mirrored_light(plain, block, scratch.mirrored_here, 0, width, total)
@@ -211,40 +274,34 @@ def shade_pixels(start, stop, index, frame, out):
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _add_interface(hit, place, r, c, coat, share, step, width, frame, scratch):
-    """Add mirrored light: to ``plain``, or directly for an interface with spectra of its terms."""
-    rays, surfaces, light, rough = frame.rays, frame.surfaces, frame.light, frame.rough
-    axis = rays.detector_axis
-    m, skies = hit.material, light.sky_map.shape[2]
-    weight, k = surfaces.weight[m] * share, surfaces.optics[m]
-    if weight == 0.0:
-        return
-    terms, alpha, block, group = surfaces.terms[k], surfaces.alpha[k], 2 + skies, light.group[k]
+def _add_interface(
+    hit, place, mirrors, lobe, group, look, weights, step, width, sun, axis, tables, scratch, total
+):
+    """Add mirrored light: to ``plain``, or to ``total`` for an interface with spectra of its terms.
+
+    Return I, Q and U of unpolarized light 1 off mirrored surfaces.
+    """
+    (k, glint, alpha, distribution, terms), (weight, coat), skies = lobe, weights, tables.sky_map.shape[2]
+    block, shown = 2 + skies, (0.0, 0.0, 0.0)
     target = scratch.own if group > 0 else scratch.plain
     _clear(scratch.own, terms * block if group > 0 else 0, 3)
-    glint = weight * hit.sunlight if hit.cos_sun > 0 else 0.0
-    mirrors, shown = rays.mirror_material[hit.ray] >= 0, (0.0, 0.0, 0.0)
     if alpha >= MIRROR_ROUGHNESS:
-        slot = gather_around(hit.nx, hit.ny, hit.nz, k, terms, r, c, rough, scratch.at, scratch.facet)
-        shining = hit.sunlight if glint > 0 else 0.0
-        around, amounts = (
-            (share * coat, (place[0], 0.0 if mirrors else place[1]), shining),
-            surfaces.reference[k],
-        )
+        normal, rough = (hit.nx, hit.ny, hit.nz), (tables.first, tables.gathered, tables.soft)
+        slot = gather_around(normal, k, terms, look, rough, scratch.at, scratch.facet)
+        around = coat, (place[0], 0.0 if mirrors else place[1]), hit.sunlight if glint > 0 else 0.0
         facet, mixed = scratch.facet, scratch.mixed
-        shown = add_gathered(around, terms, amounts, skies, r, c, rough, facet, slot, mixed, target)
-        glint = 0.0 if rough.soft[k] else glint
+        shown = add_gathered(around, terms, tables.reference[k], skies, look, facet, slot, mixed, target)
+        glint = 0.0 if tables.soft[k] else glint
     elif mirrors:
-        shown = mirror_unit_light(hit, weight, k, terms, surfaces, axis)
+        shown = mirror_unit_light(hit, weight, k, terms, tables.fresnel, tables.reference, axis)
     else:
-        mirror_sky(hit, weight, k, terms, surfaces.fresnel, axis, light.sky_map, scratch.radiance, target)
-    if mirrors:
-        mirror_base(hit, shown, rays, step, width, light, scratch)
+        mirror_sky(hit, weight, k, terms, tables.fresnel, axis, tables.sky_map, scratch.radiance, target)
     if glint > 0:
-        add_glint(hit, frame.sun, k, glint, surfaces, axis, block, target)
+        add_glint(hit, sun, (k, glint, alpha, distribution, terms), tables.fresnel, axis, block, target)
     if group > 0:
-        fill_air_row(light.mirrored, step, group, scratch.mirrored_step, scratch.mirrored_here, width)
-        _add_mirrored_light(scratch.own, terms * block, scratch.mirrored_here, group, width, scratch.total)
+        fill_air_row(tables.mirrored, step, group, scratch.mirrored_step, scratch.mirrored_here, width)
+        _add_mirrored_light(scratch.own, terms * block, scratch.mirrored_here, group, width, total)
+    return shown
 
 
 @nb.njit(cache=True, forceinline=True)

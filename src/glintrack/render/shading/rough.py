@@ -50,8 +50,10 @@ class Hit(NamedTuple):
         Cosines of the angles from the normal to the lens and to the sun. [1]
     sunlight, sky_view
         Transmittance of the sun's light, and sky view factor. [1]
-    material, ray
-        Index of the material and of the sample.
+    material
+        Index of the material.
+    cell, part_x, part_y, sky_here, sky_left
+        `Hits.light_cell`, `Hits.light_part`, `Hits.sky_here`, and `Hits.sky_left` as a share of 1.
     """
 
     dx: float
@@ -65,7 +67,11 @@ class Hit(NamedTuple):
     sunlight: float = 0.0
     sky_view: float = 0.0
     material: int = 0
-    ray: int = 0
+    cell: int = 0
+    part_x: int = 0
+    part_y: int = 0
+    sky_here: float = 0.0
+    sky_left: float = 0.0
 
 
 class PrefilteredReflection(NamedTuple):
@@ -222,8 +228,8 @@ def _gather(
             even_albedo = over_cosine(surfaces.albedo, optical, vx * nx + vy * ny + vz * nz)
             # the others are divided by the albedo that the same facets give
             weight = max(albedo, 1e-12) / max(even_albedo, 1e-9)
-            ray = Hit(-vx, -vy, -vz, nx, ny, nz, 0.0, 0.0, 0.0, 0.0, 0, 0)
-            add_glint(ray, sun, optical, weight, surfaces, axis, block, sums)
+            ray = Hit(-vx, -vy, -vz, nx, ny, nz, 0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0.0, 0.0)
+            add_glint(ray, sun, (optical, weight, alpha, distribution, terms), fresnel, axis, block, sums)
         for term in range(terms):
             for k in range(block):
                 for x in range(3):
@@ -265,9 +271,12 @@ def add_mirrored(m00, m01, m22, c_in, s_in, c_out, s_out, weight, radiance, out,
 
 
 @nb.njit(cache=True, forceinline=True)
-def add_glint(ray, sun, optical, weight, surfaces, axis, block, out):
-    """Add the sun's glint off microfacets, F·D·G/(4 cos θv) per unit of irradiance, at each block's head."""
-    alpha, distribution = surfaces.alpha[optical], surfaces.distribution[optical]
+def add_glint(ray, sun, lobe, fresnel, axis, block, out):
+    """Add the sun's glint off microfacets, F·D·G/(4 cos θv) per unit of irradiance, at each block's head.
+
+    ``lobe`` has the optical class, weight, roughness, facet model, and number of Fresnel terms.
+    """
+    optical, weight, alpha, distribution, terms = lobe
     dx, dy, dz, nx, ny, nz = ray.dx, ray.dy, ray.dz, ray.nx, ray.ny, ray.nz
     light = sun[0] * nx + sun[1] * ny + sun[2] * nz
     if light <= 0:
@@ -278,13 +287,13 @@ def add_glint(ray, sun, optical, weight, surfaces, axis, block, out):
     view = max(-(dx * nx + dy * ny + dz * nz), 1e-3)
     # the sun is a disc: no lobe is narrower than it
     wide = math.sqrt(alpha * alpha + SUN_HALF_VECTOR_RADIUS * SUN_HALF_VECTOR_RADIUS)
-    lobe = facet_lobe(distribution, nx * hx + ny * hy + nz * hz, view, light, wide) * weight * light
-    if lobe < 1e-9:
+    strength = facet_lobe(distribution, nx * hx + ny * hy + nz * hz, view, light, wide) * weight * light
+    if strength < 1e-9:
         return
     c_out, s_out = plane_of_incidence(dx, dy, dz, hx, hy, hz, axis)[3:]
-    for term in range(surfaces.terms[optical]):
-        m00, m01, _ = fresnel_term(surfaces.fresnel, optical, term, -(dx * hx + dy * hy + dz * hz))
+    for term in range(terms):
+        m00, m01, _ = fresnel_term(fresnel, optical, term, -(dx * hx + dy * hy + dz * hz))
         q, u = rotate_qu(m01, 0.0, c_out, s_out)
-        out[term * block, 0] += lobe * m00
-        out[term * block, 1] += lobe * q
-        out[term * block, 2] += lobe * u
+        out[term * block, 0] += strength * m00
+        out[term * block, 1] += strength * q
+        out[term * block, 2] += strength * u
