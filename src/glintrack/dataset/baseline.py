@@ -28,15 +28,7 @@ SCORES = ("completeness", "completeness_visible", "purity", "idf1", "hota", "fal
 
 @dataclass(frozen=True)
 class Baseline:
-    """One line of the table.
-
-    Parameters
-    ----------
-    detector, channel
-        Detector of `track.DETECTORS`, and its channel.
-    raw
-        True: it uses raws with poses and terrain. False: rectified frames alone.
-    """
+    """Detector of `track.DETECTORS`, its channel, and True for raws with poses and terrain."""
 
     detector: str
     channel: str

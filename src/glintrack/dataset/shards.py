@@ -35,15 +35,10 @@ NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 _MAX_COUNT = 65535
 BOX_COLUMNS = {**FRAME_COLUMNS, "speed_m_s": "speed"}
 TRUTH_COLUMNS = {
-    "time_s": "time_s",
-    "vehicle_id": "vehicle_id",
-    "east_m": "east",
-    "north_m": "north",
-    "east_speed_m_s": "east_speed",
-    "north_speed_m_s": "north_speed",
-    "heading_rad": "heading",
-    "length_m": "length",
-    "width_m": "width",
+    **{name: name for name in ("time_s", "vehicle_id")},
+    **{f"{name}_m": name for name in ("east", "north")},
+    **{f"{name}_m_s": name for name in ("east_speed", "north_speed")},
+    **{"heading_rad": "heading", "length_m": "length", "width_m": "width"},
     "visible_fraction": "visible_fraction",
 }
 POSE = (

@@ -17,68 +17,39 @@ class FlightDesign(Design):
     the first frame.
     """
 
-    kind: Literal["orbit", "racetrack", "straight", "waypoints"] = Field(
-        default="orbit", description="Shape of the path"
-    )
-    altitude_m: float = Field(
-        default=1928.0,
-        ge=200,
-        le=20000,
-        description="Height of the lens above the stare point, within atmosphere.altitudes_m",
-    )
-    off_nadir_deg: float = Field(
-        default=50.0, ge=0, le=70, description="Angle of the line of sight from nadir at the viewpoint"
-    )
-    azimuth_from_sun_deg: float = Field(
-        default=0.0,
-        ge=-360,
-        le=360,
-        description="Azimuth of the line of sight from the sun's, clockwise; 0 looks toward the sun",
-    )
+    kind: Literal["orbit", "racetrack", "straight", "waypoints"] = "orbit"
+    """Shape of the path."""
+    altitude_m: float = Field(default=1928.0, ge=200, le=20000)
+    """Height of the lens above the stare point, within atmosphere.altitudes_m."""
+    off_nadir_deg: float = Field(default=50.0, ge=0, le=70)
+    """Angle of the line of sight from nadir at the viewpoint."""
+    azimuth_from_sun_deg: float = Field(default=0.0, ge=-360, le=360)
+    """Azimuth of the line of sight from the sun's, clockwise; 0 looks toward the sun."""
     speed_m_s: float = Field(default=80.0, ge=0, le=400, description="Speed along the path")
-    direction: Literal["clockwise", "counterclockwise"] = Field(
-        default="clockwise", description="Sense of the path, seen from above"
-    )
+    direction: Literal["clockwise", "counterclockwise"] = "clockwise"
+    """Sense of the path, seen from above."""
     stare_east_m: float = Field(default=0.0, ge=-1e6, le=1e6, description="Stare point, ENU")
     stare_north_m: float = Field(default=0.0, ge=-1e6, le=1e6, description="Stare point, ENU")
     stare_up_m: float = Field(default=0.0, ge=-500, le=9000, description="Stare point, ENU")
-    course_deg: float | None = Field(
-        default=None,
-        ge=-360,
-        le=360,
-        description="Course of a straight flight, clockwise from north; across the line of sight if left out",
-    )
+    course_deg: float | None = Field(default=None, ge=-360, le=360)
+    """Course of a straight flight, clockwise from north; across the line of sight if left out."""
     leg_m: float = Field(default=4000.0, gt=0, le=1e5, description="Straight legs of a racetrack")
-    turn_radius_m: float = Field(
-        default=1000.0,
-        gt=0,
-        le=5e4,
-        description="Half circles of a racetrack, between its legs",
-    )
-    waypoint_file: str | None = Field(
-        default=None, description="CSV or KML with the path, relative to the case (docs/guide/case.md)"
-    )
-    waypoint_datum_m: float = Field(
-        default=0.0, ge=-1000, le=20000, description="Height of ENU zero in the waypoint file's altitudes"
-    )
-    gimbal: Literal["stare", "fixed"] = Field(
-        default="stare", description="Pointed at the stare point, or at fixed angles to the airframe"
-    )
-    gimbal_azimuth_deg: float = Field(
-        default=0.0, ge=-360, le=360, description="Azimuth of a fixed gimbal, clockwise from the nose"
-    )
-    gimbal_depression_deg: float = Field(
-        default=90.0, gt=0, le=90, description="Angle of a fixed gimbal below the airframe's horizon"
-    )
-    jitter_rms_urad: float = Field(
-        default=0.0,
-        ge=0,
-        le=1e4,
-        description="True jitter of the line of sight about the stare point, RMS of each axis",
-    )
-    start_s: float = Field(
-        default=0.0, ge=0, le=1e6, description="Time of the first frame on the traffic's clock"
-    )
+    turn_radius_m: float = Field(default=1000.0, gt=0, le=5e4)
+    """Half circles of a racetrack, between its legs."""
+    waypoint_file: str | None = None
+    """CSV or KML with the path, relative to the case (docs/guide/case.md)."""
+    waypoint_datum_m: float = Field(default=0.0, ge=-1000, le=20000)
+    """Height of ENU zero in the waypoint file's altitudes."""
+    gimbal: Literal["stare", "fixed"] = "stare"
+    """Pointed at the stare point, or at fixed angles to the airframe."""
+    gimbal_azimuth_deg: float = Field(default=0.0, ge=-360, le=360)
+    """Azimuth of a fixed gimbal, clockwise from the nose."""
+    gimbal_depression_deg: float = Field(default=90.0, gt=0, le=90)
+    """Angle of a fixed gimbal below the airframe's horizon."""
+    jitter_rms_urad: float = Field(default=0.0, ge=0, le=1e4)
+    """True jitter of the line of sight about the stare point, RMS of each axis."""
+    start_s: float = Field(default=0.0, ge=0, le=1e6)
+    """Time of the first frame on the traffic's clock."""
     frames: int = Field(default=60, ge=1, le=100000, description="Number of frames")
     rate_hz: float = Field(default=2.0, gt=0, le=1000, description="Frame rate")
 

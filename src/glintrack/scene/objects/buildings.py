@@ -110,16 +110,15 @@ def _panes(footprint: Polygon, building: Building) -> Patch:
         return join([])
     corners = np.asarray(footprint.exterior.coords)[:, :2]
     storeys = max(int((building.eaves_m + 0.2) / building.storey_m), 1)
+    spacing, width, sill, top = {
+        "rows": (2.6, 1.25, 0.95, 2.30),
+        "curtain": (3.0, 2.9, 0.35, building.storey_m - 0.25),
+        "shopfront": (4.0, 3.6, 0.3, 2.8),
+    }[building.glazing]
+    levels = range(1 if building.glazing == "shopfront" else storeys)
     found = []
     for a, b in itertools.pairwise(corners):
         length = float(np.hypot(*(b - a)))
-        match building.glazing:
-            case "rows":
-                spacing, width, sill, top, levels = 2.6, 1.25, 0.95, 2.30, range(storeys)
-            case "curtain":
-                spacing, width, sill, top, levels = 3.0, 2.9, 0.35, building.storey_m - 0.25, range(storeys)
-            case _:
-                spacing, width, sill, top, levels = 4.0, 3.6, 0.3, 2.8, range(1)
         count = int((length - 0.5) / spacing)
         if count < 1:
             continue

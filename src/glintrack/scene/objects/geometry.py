@@ -44,10 +44,9 @@ class Mesh:
 
     def __post_init__(self):
         """Refuse arrays that do not belong together."""
-        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3:
-            raise ValueError(f"`vertices` must have shape (n, 3), got {self.vertices.shape}")
-        if self.faces.ndim != 2 or self.faces.shape[1] != 3:
-            raise ValueError(f"`faces` must have shape (m, 3), got {self.faces.shape}")
+        for name, array in (("vertices", self.vertices), ("faces", self.faces)):
+            if array.ndim != 2 or array.shape[1] != 3:
+                raise ValueError(f"`{name}` must have shape (n, 3), got {array.shape}")
         if self.material.shape != (len(self.faces),):
             raise ValueError(f"`material` must have shape ({len(self.faces)},), got {self.material.shape}")
         if not np.isfinite(self.vertices).all():
