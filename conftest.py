@@ -27,7 +27,7 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_addoption(parser):
-    """The switch."""
+    """Add the option."""
     parser.addoption("--no-unexpected-skip", action="store_true", help="fail on a skip without good reason")
 
 

@@ -135,7 +135,7 @@ SCORES = ("completeness_visible", "purity", "custody", "false_per_km2", "mota", 
 
 
 def detections_of(recording: Recording, detector: track.Detector) -> tuple[Found, float]:
-    """Detections in each frame without a tracker, and processor time per frame. [s]"""
+    """Detect in each frame without a tracker; return detections and processor time per frame. [s]"""
     state, last_s, out, began = None, None, [], time.process_time()
     for frame in recording.sensor_frames():
         interval_s = 0.0 if last_s is None else frame.time_s - last_s
@@ -179,7 +179,7 @@ def reports_of(recording: Recording, found: Found, tracker: str, design: track.T
 
 
 def truth_rows(recording: Recording) -> xr.Dataset:
-    """The truth with one row a vehicle and frame."""
+    """Return the truth with one row per vehicle and frame."""
     parts = []
     for frame, truth in zip(recording.sensor_frames(), recording.truths, strict=True):
         table = truth.to_dataframe().reset_index().rename(columns={"vehicle": "vehicle_id"})

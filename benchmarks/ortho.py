@@ -53,7 +53,7 @@ def median_ms(works, repeats: int) -> np.ndarray:
 
 
 def scene(rows: int, columns: int):
-    """A camera 50° off nadir at 3000 m slant range, and the ground it sees over rolling terrain."""
+    """Make a camera 50° off nadir at 3000 m slant range, and its ground over rolling terrain."""
     camera = Camera(0.068, 17e-6 * 880 / columns, rows, columns)
     place = (ORIGIN[0] - 1500.0, ORIGIN[1] - 1741.0, 1928.0)
     pose = look_at(Pose(*place, heading_rad=0.7, kind="reported"), (*ORIGIN, 0.0))

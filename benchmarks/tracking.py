@@ -53,7 +53,7 @@ def speed_of(states: np.ndarray) -> np.ndarray:
 
 
 def measure(epochs: Epochs, seed: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Detections of each epoch in chance order, and whose they are (−1 for nobody's)."""
+    """Return detections of each epoch in random order, and their vehicles (−1 for none)."""
     rng = np.random.default_rng(seed)
     measured, whose = [], []
     for _, ids, states in epochs:

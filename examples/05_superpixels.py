@@ -36,7 +36,7 @@ light = view.radiance
 
 
 def exposed(**changes):
-    """A frame of the case's sensor with some keys changed, and the sensor; no mirror is away."""
+    """Expose a frame of the case's sensor with some keys changed; return it and the sensor."""
     sensor = build_sensor(case.sensor.replace(changes), view.sky.wavelength_um)
     return expose(light, sensor, serve((), sensor, view.pose), np.random.default_rng(1)), sensor
 

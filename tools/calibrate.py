@@ -106,7 +106,7 @@ class Peaks:
 
 
 def label_flight(recording: Recording, sensor: str, channel: str) -> Peaks:
-    """The peaks of a flight, as a sensor saw it, in a channel, once the ground is learnt."""
+    """Collect the peaks of a simulation in a channel, after background learning."""
     detector, state, times_s, parts = MosaicDetector(DetectDesign()), None, [], []
     for frame, truth in zip(recording.sensor_frames(sensor), recording.truths, strict=True):
         frame = frame_for(frame, channel, frame.time_s - times_s[-1] if times_s else 0.0)
@@ -121,7 +121,7 @@ def label_flight(recording: Recording, sensor: str, channel: str) -> Peaks:
 
 
 def frame_for(frame, channel: str, interval_s: float):
-    """The frame as the tracker hands it to a detector."""
+    """Make a frame as the tracker gives it to a detector."""
     return replace(frame, grid=grid_of(frame, None), channel=channel, interval_s=interval_s)
 
 
@@ -246,7 +246,7 @@ class Flight:
     found: list[tuple[float, track.Detections, track.Grid, xr.Dataset]]
 
     def states(self, keys: Mapping[str, object] | None = None) -> Iterator[track.TrackerState]:
-        """The tracker after each frame, with some keys changed."""
+        """Yield the tracker after each frame, with some keys changed."""
         state = track.start(design_of(self.case, self.channel, keys or {}), self.seed)
         for time_s, one, grid, _ in self.found:
             state = track.step_detections(state, one, time_s, grid)
@@ -254,7 +254,7 @@ class Flight:
 
 
 def design_of(case: str, channel: str, keys: Mapping[str, object]) -> track.TrackDesign:
-    """The packaged case's tracker of a channel, with some keys changed."""
+    """Make the packaged case's tracker of a channel, with some keys changed."""
     own = {"query.policy": "none", "detect.channel": channel}
     return Case.from_toml(find_case(case)).track.replace({**own, **keys})
 

@@ -35,7 +35,7 @@ JPEG_QUALITY = 72
 def simulate_flight(
     args: argparse.Namespace, off_nadir_deg: float, trees: bool, trackers: Mapping[str, TrackDesign]
 ) -> tuple[xr.DataTree, dict[str, Epoch]]:
-    """A flight's result, and each tracker's last epoch."""
+    """Simulate a case; return its result and each tracker's last epoch."""
     case = Case.from_toml(find_case("quickstart")).replace(
         {
             "scene.trees": trees,

@@ -25,7 +25,7 @@ FREE = (
 
 
 def name_of(package: str) -> str:
-    """A package's name as registries compare it."""
+    """Normalize a package's name as registries compare it."""
     return re.sub(r"[-_.]+", "-", package).lower()
 
 
@@ -80,7 +80,7 @@ def is_free(text: str) -> bool:
 
 
 def faults(found: dict[str, str]) -> list[str]:
-    """Packages of a default installation with a licence that requires more, or is not stated."""
+    """List packages of a default installation with a licence that requires more, or is not stated."""
     return [f"{name}: {text}" for name, text in sorted(found.items()) if not is_free(text)]
 
 

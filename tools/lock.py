@@ -51,7 +51,7 @@ def write(upgrade: bool) -> None:
 
 
 def check() -> None:
-    """The constraints resolve for the oldest and the newest Python, to pins that all stand in them."""
+    """Check that the constraints resolve for the oldest and the newest Python, with all pins in them."""
     known = pins(CONSTRAINTS.read_text(encoding="utf-8"))
     for python in (PYTHONS[0], PYTHONS[-1]):
         chosen = pins(compile_pins("--python-version", python, "-c", CONSTRAINTS.name))

@@ -41,7 +41,7 @@ def start() -> LensDesign:
 
 
 def optimise(lens: LensDesign) -> LensDesign:
-    """The same with radii and distances moved for small spots."""
+    """Move radii and distances for small spots."""
     optic = build_optic(lens)
     problem = optimization.OptimizationProblem()
     reach = max(np.hypot(x, y) for x, y in lens.fields_mm)

@@ -60,7 +60,7 @@ class Recording:
     extent_m: tuple[float, float, float, float]
 
     def sensor_frames(self, sensor: str = "own") -> Iterator[track.Frame]:
-        """The frames for a tracker."""
+        """Yield the frames for a tracker."""
         camera = self.cameras[sensor]
         for time_s, pose, pictures in self.frames:
             image, mosaic = pictures[sensor]

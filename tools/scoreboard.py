@@ -108,7 +108,7 @@ def simulate_scores(case: Case) -> dict[str, dict[str, float]]:
 
 
 def cases_by_name(situations: Path | None) -> dict[str, Case]:
-    """Packaged cases, with traffic of their own, and the situations of a folder."""
+    """Load the packaged cases, with traffic of their own, and the situations of a folder."""
     cases = {name: Case.from_toml(find_case(name)) for name in PACKAGED}
     cases["quickstart"] = cases["quickstart"].replace(OWN_TRAFFIC)
     for path in sorted(situations.glob("*.toml")) if situations else ():

@@ -121,7 +121,7 @@ def loss_budget() -> Iterator[str]:
 
 
 def standard() -> Iterator[str]:
-    """The standard case: scores of each channel."""
+    """Tabulate the scores of each channel in the standard case."""
     columns = {"held_per_km2": 1, "completeness_visible": 3, "custody": 3, "purity": 3, "false_per_km2": 1}
     yield "| | held per km² | of visible | custody | purity | false tracks per km² |"
     yield "|" + " --- |" * 6

@@ -78,7 +78,7 @@ class Comparison:
 
 
 def ball(material: str, rings: int = 48) -> Mesh:
-    """A sphere of 5 m, 6 m above the ground."""
+    """Make a sphere of 5 m, 6 m above the ground."""
     polar = np.linspace(0, math.pi, rings + 1)
     turn = np.arange(2 * rings) * math.pi / rings
     p, a = np.meshgrid(polar, turn, indexing="ij")
@@ -107,7 +107,7 @@ def house() -> Mesh:
 
 
 def car() -> Mesh:
-    """A saloon of the library: rough lacquer over black, glass, and the rest diffuse."""
+    """Make a saloon of the library: rough lacquer over black, glass, and the rest diffuse."""
     names = material_index(load_materials())
     model = build_models(names)[0]
     by_index = {i: name for name, i in names.items()}
@@ -145,7 +145,7 @@ def sky_stokes(look: np.ndarray) -> np.ndarray:
 
 
 def atmosphere() -> xr.Dataset:
-    """Schema ``atmosphere``: that sky and sun, grey, and no air in between."""
+    """Make the schema ``atmosphere`` of that sky and sun, grey, without air in between."""
     wavelength = np.array([0.4, 0.5, 0.6])
     zenith, azimuth = np.linspace(0, math.pi / 2, 91), np.linspace(0, 2 * math.pi, 180, endpoint=False)
     view, altitude = np.linspace(0, math.radians(85), 18), np.array([500.0, 5000.0])
@@ -184,7 +184,7 @@ def atmosphere() -> xr.Dataset:
 
 
 def library() -> xr.Dataset:
-    """Schema ``materials``."""
+    """Make the schema ``materials``."""
     table, one, wavelength = np.array(list(MATERIALS.values())), {"units": "1"}, np.array([0.4, 2.5])
 
     def column(i: int) -> tuple:
@@ -291,7 +291,7 @@ def _bsdf(name: str) -> dict:
 
 
 def mitsuba_scene(mi, mesh: Mesh, emitters: dict, bsdf=_bsdf):
-    """The same triangles, one Mitsuba mesh a material."""
+    """Make one Mitsuba mesh per material of the same triangles."""
     scene = {"type": "scene", **emitters}
     twosided = lambda k: mi.load_dict({"type": "twosided", "bsdf": bsdf(NAMES[k])})  # noqa: E731
     return mi.load_dict(add_meshes(mi, scene, "part", mesh, twosided))

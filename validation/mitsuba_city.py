@@ -319,7 +319,7 @@ def print_table(title: str, pair: Pair, same, view: View, materials) -> None:
 
 
 def scenes(options):
-    """The city, its materials without mottle, and a sky for each hour."""
+    """Build the city, its materials without mottle, and a sky for each hour."""
     city = build_scene(SceneDesign())
     materials = city.materials.assign(mottle=0 * city.materials["mottle"])
     snapshot = city.at(0.0)

@@ -138,7 +138,7 @@ def _mean_transmittance(s: Surface) -> float:
 
 
 def bsdf(s: Surface) -> dict:
-    """The Mitsuba surface that has the energy and the polarization of ours."""
+    """Make the Mitsuba surface with the energy and the polarization of ours."""
     passed = _mean_transmittance(s)
     index = {"eta": _uniform(s.n), "k": _uniform(s.k)}
     facets = {"type": "roughconductor", "distribution": "ggx", "alpha": s.alpha, **index}
@@ -243,7 +243,7 @@ def sky_emitter(mi, dr, sky: Sky, wavelength_um: float) -> None:
 
 
 def build(mi, snapshot: Snapshot, materials: xr.Dataset, sky: Sky, wavelength_um: float) -> tuple:
-    """The scene at one wavelength, lit by the sun alone and by the sky alone: light adds up."""
+    """Make the scene at one wavelength, lit by the sun alone and by the sky alone: light adds up."""
     reflected = {f"m{i}": bsdf(s) for i, s in enumerate(surfaces_at(materials, wavelength_um))}
     surfaces = {name: mi.load_dict(one) for name, one in reflected.items()}
     sun = np.interp(wavelength_um, sky.wavelength_um, sky.sun_irradiance)
@@ -298,7 +298,7 @@ def stokes_on_axis(mi, dr, light, directions, axis) -> np.ndarray:
 
 
 def _with_holes(model: Mesh, gaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A tree's vertices, faces and materials; its cards are the strips between their holes."""
+    """Make a tree's vertices, faces and materials; its cards are the strips between their holes."""
     order = np.argsort(gaps > 0, kind="stable")  # as the tracer numbers them
     corners, faces, material, gaps = model.vertices, model.faces[order], model.material[order], gaps[order]
     vertices, kept, kinds = [corners], [faces[gaps == 0]], [material[gaps == 0]]

@@ -38,7 +38,7 @@ def ours(design: AtmosphereDesign, um: np.ndarray) -> np.ndarray:
 
 
 def spectrl2(design: AtmosphereDesign, um: np.ndarray) -> np.ndarray:
-    """The same by pvlib, 10-nm means of its own wavelengths. [W m⁻² µm⁻¹]"""
+    """Compute the same by pvlib, as 10-nm means of its own wavelengths. [W m⁻² µm⁻¹]"""
     zenith_deg = np.degrees(sun_direction(design)[0])
     at_500, at_400 = aerosol_optics(design.aerosol, np.array([0.5, 0.55])).extinction
     depth_500 = design.aerosol_optical_depth_550 * at_500

@@ -24,7 +24,7 @@ def setup(app) -> dict:
 
 
 def plain_returns(lines: list[str]) -> list[str]:
-    """The docstring with its ``Returns`` section renamed, unless it has the name-and-indent form.
+    """Rename a docstring's ``Returns`` section, unless it has the name-and-indent form.
 
     Parameters
     ----------

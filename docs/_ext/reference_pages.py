@@ -41,7 +41,7 @@ def _case_page() -> Iterator[str]:
 
 
 def _keys(model: type[BaseModel], title: str) -> Iterator[str]:
-    """A heading and a table of a design's own keys, then those of the tables inside."""
+    """Yield a heading and a table of a design's own keys, then those of the tables inside."""
     for table, keys in keys_of(model):
         heading = f"`[{table}]`" if table else title
         yield from ("", f"## {heading}", "", "| key | unit | value | default | meaning |")
@@ -52,7 +52,7 @@ def _keys(model: type[BaseModel], title: str) -> Iterator[str]:
 
 
 def key_lines(model: type[BaseModel]) -> Iterator[str]:
-    """A design's own keys as a list in reStructuredText."""
+    """Write a design's own keys as a list in reStructuredText."""
     for table, keys in keys_of(model):
         for key in () if table else keys:
             unit = f" [{key.unit}]" if key.unit else ""
@@ -109,7 +109,7 @@ def _limits(low: float, high: float) -> str:
 
 
 def _short(value: object) -> str:
-    """A default as TOML would have it, not too long."""
+    """Write a default as in TOML, not too long."""
     text = "none" if value is None else json.dumps(value, ensure_ascii=False, default=str)
     return text if len(text) <= 60 else text[:57] + "…"
 

@@ -38,7 +38,7 @@ class Brighter:
         )
 
     def update(self, state, frame, detections, association):
-        """The mean follows, but not where a track explains the change."""
+        """Update the mean, but not where a track explains the change."""
         pan = frame.image["pan"].values
         if state is None:
             return pan

@@ -42,7 +42,7 @@ def follow(tracks, found, names):
 
 
 def as_tracks(tracks, before, step_s):
-    """The schema `tracks`, which the scores take."""
+    """Make a dataset of the schema `tracks`."""
     names = list(tracks)
     place = np.array([tracks[n] for n in names]).reshape(-1, 2)
     last = np.array([before.get(n, tracks[n]) for n in names]).reshape(-1, 2)

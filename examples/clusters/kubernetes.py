@@ -21,7 +21,7 @@ THREADS = dict.fromkeys(
 
 
 def cluster_spec(name: str, image: str, workers: int, memory: str) -> dict:
-    """What Dask's operator is to start: a scheduler, and pods of one core with one thread each.
+    """Describe a scheduler, and pods of one core with one thread each, for Dask's operator.
 
     Parameters
     ----------

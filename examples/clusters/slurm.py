@@ -19,7 +19,7 @@ THREADS = "export OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 NUM
 
 
 def build_cluster(memory: str, walltime: str, prologue: tuple[str, ...] = (), **more) -> SLURMCluster:
-    """A scheduler in this process; each job is one worker with one core.
+    """Start a scheduler in this process; each job is one worker with one core.
 
     Parameters
     ----------

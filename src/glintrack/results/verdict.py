@@ -259,7 +259,7 @@ def _small_field(budget: Mapping[str, float], case: Case | None) -> Iterator[str
 def _about_design(
     budget: Mapping[str, float], scores: Mapping[str, float], case: Case | None
 ) -> Iterator[str]:
-    """A flight too short for a loss budget, warnings about the sensor, and too many false tracks."""
+    """Warn of a flight too short for a loss budget, of the sensor, and of too many false tracks."""
     if case is None:
         return
     if not budget and 0 < case.bound.every and case.flight.frames <= case.bound.every:

@@ -308,7 +308,7 @@ class StudyPace:
         return cost * max(sum(self._left.values()) / max(workers, 1), *self._left.values())
 
     def summary(self, workers: int) -> str:
-        """Number of cases done and time left."""
+        """State the number of finished cases and the time left."""
         count = f"{self.count - len(self._left)}/{self.count} cases"
         return f"{count}, {format_duration(self.remaining_s(workers))} left" if self._left else count
 
