@@ -38,7 +38,7 @@ def build(
         list[str], argument("Case files, packaged cases, 'standard' (extra `traffic`) or 'standard/*-clear'")
     ],
     output: Annotated[Path, option("Folder of the set: new, or of a stopped build", "-o", "--output")],
-    frames: Annotated[int | None, option("Frames of each case [default: its own, or 20]")] = None,
+    frames: Annotated[int | None, option("Frames of each case [default: its own; 20 in standard]")] = None,
     shard_frames: Annotated[int, option("Frames of one file", "--shard-frames")] = 10,
     dry_run: Annotated[bool, option("Print number of cases and size; simulate nothing", "--dry-run")] = False,
     allow_outside_paths: OutsidePathsOption = False,

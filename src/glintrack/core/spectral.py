@@ -4,8 +4,6 @@ Wavelengths are in µm, spectra per µm. Band values are *means* over the respon
 in ``_integrated``.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -98,48 +96,22 @@ def resample(
     return out.reshape(*values.shape[:-1], wavelength_um.size)
 
 
-@dataclass(frozen=True)
-class Band:
-    """A named spectral channel with a flat or Gaussian response.
+def check_band(name: str, start_um: float, stop_um: float) -> None:
+    """Refuse band edges that do not rise within 0.4 to 2.5 µm."""
+    if not MIN_WAVELENGTH_UM <= start_um < stop_um <= MAX_WAVELENGTH_UM:
+        raise ValueError(
+            f"`{name}` must rise within {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} µm, "
+            f"got {start_um} to {stop_um}"
+        )
 
-    Parameters
-    ----------
-    name
-        Label of the channel.
-    start_um, stop_um
-        Edges of a flat band; for a Gaussian, the half-maximum points. [µm]
-    shape
-        ``"flat"`` or ``"gaussian"``.
-    """
 
-    name: str
-    start_um: float
-    stop_um: float
-    shape: str = "flat"
-
-    def __post_init__(self):
-        """Check the edges and the shape's name."""
-        if not MIN_WAVELENGTH_UM <= self.start_um < self.stop_um <= MAX_WAVELENGTH_UM:
-            raise ValueError(
-                f"`{self._key}` must rise within {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} µm, "
-                f"got {self.start_um} to {self.stop_um}"
-            )
-        if self.shape not in ("flat", "gaussian"):
-            raise ValueError(f"`{self._key}.shape` must be 'flat' or 'gaussian', got {self.shape!r}")
-
-    @property
-    def _key(self) -> str:
-        """Name in messages: that of the key, or of the channel."""
-        return self.name if "." in self.name else f"band.{self.name}"
-
-    def response(self, wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "wavelength"]:
-        """Relative response, 1 at its peak. [1]"""
-        wavelength_um = np.asarray(wavelength_um, dtype=float)
-        if self.shape == "gaussian":
-            centre, width = 0.5 * (self.start_um + self.stop_um), self.stop_um - self.start_um
-            return np.exp(-4 * np.log(2) * ((wavelength_um - centre) / width) ** 2)
-        inside = (wavelength_um >= self.start_um - 1e-9) & (wavelength_um <= self.stop_um + 1e-9)
-        return inside.astype(float)
+def band_response(
+    start_um: float, stop_um: float, wavelength_um: Float[Array, "wavelength"]
+) -> Float[Array, "wavelength"]:
+    """Response of a flat band: 1 between its edges and on them, else 0. [1]"""
+    check_band("band", start_um, stop_um)
+    wavelength_um = np.asarray(wavelength_um, dtype=float)
+    return ((wavelength_um >= start_um - 1e-9) & (wavelength_um <= stop_um + 1e-9)).astype(float)
 
 
 def channel_weights(

@@ -16,7 +16,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.colour import colour_channels, natural_colour
 from glintrack.core.records import GroundPlace, RasterLayout
 from glintrack.core.schema import RADIANCE
-from glintrack.core.spectral import Band, channel_weights
+from glintrack.core.spectral import band_response, channel_weights
 from glintrack.render.light.sky import Sky
 from glintrack.render.observer import FrameRadiance, Observer
 from glintrack.render.shading.hits import Hits
@@ -138,7 +138,7 @@ def render_product(
     bands_um = bands_um or (view.band_um,)
     for band in bands_um:
         _check_band(sky, band)
-    responses = [Band("band", *band).response(sky.wavelength_um) for band in bands_um]
+    responses = [band_response(*band, sky.wavelength_um) for band in bands_um]
     values = _stokes(view, channel_weights(sky.wavelength_um, np.stack(responses)))
     components, component_dim, units = STOKES, "stokes", RADIANCE
     if product == "dolp":

@@ -11,7 +11,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.colour import colour_channels, exposure_of, holds_colours, natural_colour
 from glintrack.core.records import Rows
 from glintrack.core.schema import RADIANCE
-from glintrack.core.spectral import Band, channel_weights
+from glintrack.core.spectral import band_response, channel_weights
 from glintrack.io.images import write_frame
 from glintrack.ortho import rectify_array
 from glintrack.render import Observer
@@ -195,7 +195,7 @@ class Recorder:
 
     def _natural_colour(self, epoch: Epoch) -> Colour:
         sky = epoch.sky
-        band = Band("pan", *self.case.sensor.band_um).response(sky.wavelength_um)
+        band = band_response(*self.case.sensor.band_um, sky.wavelength_um)
         pan = channel_weights(sky.wavelength_um, band[None] * sky.wavelength_um)
         polarized = dolp(epoch.true_frame.light(pan).values[:, :, 0])
         bearings = in_view(epoch.camera, epoch.reported_pose, azimuth_of(sky.sun_direction))

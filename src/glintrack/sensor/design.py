@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from glintrack.core.designs import Design
 from glintrack.core.distortion import Distortion
-from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, Band
+from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, check_band
 from glintrack.io.untrusted import resolve_path
 from glintrack.sensor.layouts import MIRROR, Demosaicker, Superpixel, check_demosaicker, places, superpixel
 
@@ -189,8 +189,8 @@ class SensorDesign(Design):
                     f"({side}×{side} superpixels), got {getattr(self, name)}"
                 )
         check_demosaicker(self.demosaic, self.superpixel)
-        Band("sensor.band_um", *self.band_um)
-        Band("sensor.spectrometer_um", *self.spectrometer_um)
+        check_band("sensor.band_um", *self.band_um)
+        check_band("sensor.spectrometer_um", *self.spectrometer_um)
         if not isinstance(self.quantum_efficiency, str) and not 0 < self.quantum_efficiency <= 1:
             raise ValueError(
                 f"`sensor.quantum_efficiency` must be above 0 and at most 1, got {self.quantum_efficiency}"

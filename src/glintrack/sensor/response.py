@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.constants import c, h
 
 from glintrack.core.arrays import Array
-from glintrack.core.spectral import Band, channel_weights, quadrature_weights, resample
+from glintrack.core.spectral import band_response, channel_weights, quadrature_weights, resample
 from glintrack.devices.optical_constants import read_spectra
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
@@ -23,7 +23,7 @@ def element_response(
     design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
 ) -> Float[Array, "wavelength"]:
     """Filter × quantum efficiency × lens of an element with nothing over it. [electrons per photon]"""
-    response = Band("pan", *design.band_um).response(wavelength_um)
+    response = band_response(*design.band_um, wavelength_um)
     efficiency = design.quantum_efficiency
     if isinstance(efficiency, str):
         packaged = str(resources.files("glintrack") / "data" / "sensors" / "silicon.csv")
