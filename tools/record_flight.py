@@ -80,7 +80,7 @@ class _Blind:
         return None
 
 
-def fly(case: Case) -> Recording:
+def record_case(case: Case) -> Recording:
     """Fly a case without trackers."""
     case = case.replace({"channels": ("pan",), "track.query.policy": "none"})
     others = {
@@ -116,8 +116,8 @@ def fly(case: Case) -> Recording:
     return Recording(case, frames=tuple(frames), truths=tuple(truths), **kept)
 
 
-def recorded(flight: str, changes: Sequence[str] = ()) -> Recording:
-    """Fly a packaged case, or a city as `quickstart` flies its own.
+def record_flight(flight: str, changes: Sequence[str] = ()) -> Recording:
+    """Record a packaged case, or a city with the flight of `quickstart`.
 
     Parameters
     ----------
@@ -137,4 +137,4 @@ def recorded(flight: str, changes: Sequence[str] = ()) -> Recording:
     packaged = "quickstart" if name in ("embedded", "berlin", "wildau") else name
     pairs = [change.split("=", 1) for change in changes]
     values = {key: tomllib.loads(f"value = {value}")["value"] for key, value in pairs}
-    return fly(Case.from_toml(find_case(packaged)).replace({**own, **values}))
+    return record_case(Case.from_toml(find_case(packaged)).replace({**own, **values}))
