@@ -155,7 +155,6 @@ def project_spectra(
     lights = np.concatenate([sky.sun_irradiance[None], around[None], diffuse.T @ by_component])
     taken = (weights @ sky.sky_spectrum.T).reshape(*shape, -1)
     of_spectrum, of_map = _compress(taken, np.abs(sky.sky_map).max(axis=(0, 1, 3)))
-    sky_map = np.moveaxis(np.tensordot(sky.sky_map, of_map, (2, 0)), 3, 2)
     light = np.concatenate([sky.sun_irradiance[None], around[None] / np.pi, of_spectrum.T @ sky.sky_spectrum])
     group, terms = _groups(surfaces)
     path_grid = frame_grid(hits, _PATH_SPACING_RAD)
@@ -173,7 +172,7 @@ def project_spectra(
         lit=_contract(rho, weights, lights, *shape),
         mirrored=_contract(terms, weights, light, *shape),
         group=group,
-        sky_map=np.ascontiguousarray(sky_map, np.float32),
+        sky_map=np.ascontiguousarray(of_map.T @ sky.sky_map, np.float32),
         irradiance=by_patch.sum(axis=1).astype(np.float32),
         probes=np.zeros((0, 2 * by_patch.shape[2] + 2), np.float32),
         by_patch=(by_patch / 255).astype(np.float32),
