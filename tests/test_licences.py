@@ -2,11 +2,11 @@
 
 import tomllib
 
-from tools.licences import PROJECT, faults, is_free, needed
+from tools.licences import PROJECT, faults, is_free, required_packages
 
 
 def test_every_package_of_the_default_installation_may_be_shipped():
-    found = needed(tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]["dependencies"])
+    found = required_packages(tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]["dependencies"])
     assert {"numpy", "numba", "llvmlite", "sasktran2"} <= set(found)  # what those need, too
     assert faults(found) == []
 
