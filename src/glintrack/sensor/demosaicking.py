@@ -35,6 +35,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import correlate
 
 from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 from glintrack.sensor.layouts import Superpixel, analyser_matrix, places
 
 PAPER_BOOST = 5.0  # §4.1 and Fig. 13(b)
@@ -100,11 +101,19 @@ def _window_means(values: Array) -> Array:
 def _guide(readings: Array, vector: Array) -> Array:
     """Guide at every element; the edges mirror."""
     least = _MIN_DISTANCE * float(np.abs(readings).mean()) + _TINY
-    wide = np.pad(readings, _REACH, mode="reflect")
+    wide, guide = np.pad(readings, _REACH, mode="reflect"), np.empty(readings.shape)
+    over_rows(_guide_rows, len(readings) // SIDE, wide, vector, least, guide, least=16, most=32)
+    return guide
+
+
+def _guide_rows(start: int, stop: int, wide: Array, vector: Array, least: float, guide: Array) -> None:
+    """Write the guide of rows ``start`` to ``stop`` of superpixels."""
+    own = guide[SIDE * start : SIDE * stop]
+    wide = wide[SIDE * start : SIDE * stop + 2 * _REACH]
     unlike = wide * np.tile(vector, [n // SIDE for n in wide.shape])
-    total, weight = np.zeros((2, *readings.shape))
+    total, weight = np.zeros((2, *own.shape))
     for turn in (np.asarray, np.transpose):  # pairs of rows, pairs of columns
-        rows, columns = turn(readings).shape
+        rows, columns = turn(own).shape
         mean, distance = _pair_means(turn(wide)), np.abs(_pair_means(turn(unlike)))
         across = _add_up([distance[:, k : k + columns + 2] for k in range(5)])
         spread = _add_up([across[k : k + rows + 5] for k in range(3)]) / 15
@@ -112,7 +121,7 @@ def _guide(readings: Array, vector: Array) -> Array:
             share = 1.0 / (spread[far : far + rows, 1 : columns + 1] + least)
             total += turn(share * mean[near : near + rows, 3 : columns + 3])
             weight += turn(share)
-    return total / weight
+    np.divide(total, weight, out=own)
 
 
 def _pair_means(values: Array) -> Array:
