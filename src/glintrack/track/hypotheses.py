@@ -21,7 +21,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from glintrack.core.arrays import Array
-from glintrack.track import identity, update
+from glintrack.track import assignment, identity, update
 from glintrack.track.initiation import Targets, concatenate, select
 
 MAX_LEAVES = 8  # of a tree
@@ -71,7 +71,7 @@ def advance_trees(
     The leaves, the detection of each best leaf (−1 for none), and the population of features.
     """
     costs = update.association_costs(state, seen, seen.predicted, seen.in_view, evidence)
-    new, parent, detection = _branch(state.leaves, seen.predicted, costs, state.frame)
+    new, parent, detection = _branch(state.leaves, seen.predicted, costs, len(seen.found), state.frame)
     hit = np.flatnonzero(detection >= 0)
     choice = update.Choice(detection, hit, detection[hit], np.ones(len(hit)))
     assigned = detection[new.chosen]
@@ -84,7 +84,7 @@ def advance_trees(
 
 
 def _branch(
-    leaves: Leaves, targets: Targets, costs: update.AssociationCosts, scan: int
+    leaves: Leaves, targets: Targets, costs: update.AssociationCosts, count: int, scan: int
 ) -> tuple[Leaves, Int[Array, "branch"], Int[Array, "branch"]]:
     """Branch all leaves and prune all but the best hypothesis; with the leaf before and detection of each."""
     # all children by tree, rising cost and detection (−1 for a miss), less those far more costly than the
@@ -97,7 +97,13 @@ def _branch(
     order = np.lexsort((detection, cost, tree))
     tree = tree[order]
     least = cost[order][np.searchsorted(tree, trees[:-1])][tree]
-    safe = leaves.chosen[parent[order]] & (detection[order] < 0)  # a choice without conflict remains
+    # a choice without conflict remains: the one-to-one assignment of the chosen leaves
+    row, mine = np.cumsum(leaves.chosen) - 1, np.flatnonzero(leaves.chosen[costs.tracks])
+    assigned = np.full(len(leaves.chosen), -2)
+    assigned[leaves.chosen] = assignment.assign(
+        row[costs.tracks[mine]], costs.partners[mine], costs.cost[mine], costs.miss_cost[leaves.chosen], count
+    )
+    safe = (detection == assigned[parent])[order]
     near = (cost[order] <= least + _REACH_NAT) | safe
     tree, order = tree[near], order[near]
     parent, detection, earned, cost = parent[order], detection[order], earned[order], cost[order]

@@ -187,7 +187,10 @@ def _step(
     found, grid, leaves = seen.found, seen.grid, state.leaves
     design = state.design.effective(found.log_likelihood_ratio is not None)
     uses_existence = design.reporting.uses_existence
-    before = replace(state, design=design, ground=update.update_ground(state, ground))
+    ground = ground[identity.ground_ratio(state.population, state.ground, ground) >= 0]  # no unknown vehicles
+    none = np.zeros(len(ground))
+    ground_population = identity.update_population(state.ground, ground, np.zeros_like(ground), none)
+    before = replace(state, design=design, ground=ground_population)
     evidence = update.spectral_evidence(before, spectral)
     if leaves is None:
         targets, assigned, population = update.advance_targets(before, seen, evidence)

@@ -200,9 +200,3 @@ def update_features(state, targets, evidence, assigned):
     spectra[hit] += share
     feature[hit] += (new - feature[hit]) * (share / spectra[hit])[:, None]
     return feature, spectra, population
-
-
-def update_ground(state, spectra: Float[Array, "spectrum feature"]) -> identity.Population:
-    """Update the population of the ground with more spectra, less those of unknown vehicles."""
-    spectra = spectra[identity.ground_ratio(state.population, state.ground, spectra) >= 0]
-    return identity.update_population(state.ground, spectra, np.zeros_like(spectra), np.zeros(len(spectra)))

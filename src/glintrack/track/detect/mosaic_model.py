@@ -142,7 +142,7 @@ def predict(ground: Ground, frame: Frame) -> ElementPrediction:
     readings = tuple(np.ascontiguousarray(mosaic.electrons[one], np.float32) for one in cut)
     variance = tuple(np.square(np.ascontiguousarray(mosaic.sigma_e[one], np.float32)) for one in cut)
     moved = np.zeros(2)
-    gain = _gain(ground, time_s)
+    gain = 1.0 if ground.since_s is None else math.exp((time_s - ground.since_s) / MEMORY_S)
     for _ in range(SHIFT_STEPS):
         some, some_variance = (
             tuple(np.ascontiguousarray(a[::SHIFT_ROWS]) for a in of) for of in (readings, variance)
@@ -185,8 +185,8 @@ def update_ground(
     for z2, at in zip(seen.z2, _places_by_kind(ground, seen.x, seen.y), strict=True):
         kernels.flag(z2, *at, 1 / COARSE, HEAL_LIMIT, changed)
     differed_s = np.where(changed, ground.differed_s + np.float32(interval_s), 0)
-    gain = _gain(ground, time_s)
     since_s = time_s if ground.since_s is None else ground.since_s
+    gain = math.exp((time_s - since_s) / MEMORY_S)
     renew = gain if gain > _RENEW else 1.0
     gain, since_s = (1.0, time_s) if renew > 1 else (gain, since_s)
     # roofs and crowns are registered too: they move against the flight and would take the map with them, so
@@ -224,10 +224,6 @@ def update_ground(
     maps, scales = zip(*map_threads(one, range(len(ground.places))), strict=True)
     times = {"differed_s": differed_s, "since_s": since_s, "first_s": first_s}
     return replace(ground, maps=maps, scales=scales, shift_m=(east, north), **times)
-
-
-def _gain(ground: Ground, time_s: float) -> float:
-    return 1.0 if ground.since_s is None else math.exp((time_s - ground.since_s) / MEMORY_S)
 
 
 def _elements_of_kind(ground: Ground, kind: int, every: int = 1) -> tuple[slice, slice]:
