@@ -16,7 +16,8 @@ README_LINES, README_WORDS, DOCUMENTATION_WORDS, CHANGELOG_LINES = 110, 900, 30_
 # without "read", "put" and "left", which are mostly a verb or a side
 IRREGULAR = set(
     "told kept born lit seen met held found known made drawn flown grown taken given shown sent led turned"
-    " learnt begun worn written built chosen hidden bent lent sworn laid brought thought caught worked gone".split()
+    " learnt begun worn written built chosen hidden bent lent sworn laid brought thought"
+    " caught worked gone".split()
 )
 ADJECTIVES = set(
     "surest nearest best finer coarse bare level usual likely sure ready fresh apart alike beside among near"
