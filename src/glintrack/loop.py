@@ -21,7 +21,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.parallel import prefetch
 from glintrack.core.records import Mosaic, Radiance, Rows, ServedQueries, SpectralQuery
 from glintrack.ortho import on_ground, orthorectify, register
-from glintrack.render import FrameCache, Hits, LightCache, keep_frames
+from glintrack.render import FrameCache, Hits, keep_frames
 from glintrack.results.collect import Loop, Stopwatch, collect, rows_of
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.scene import City
@@ -64,9 +64,8 @@ def simulate(
     callback
         Called after each frame and channel.
     hits_cache
-        Source of traced frames by their time; by default they are traced. A `render.LightCache` also stores
-        the radiance in the sensor's channels. Filters, tracker and reported pose do not change the hits, so
-        a trade study may share them.
+        Source of traced frames by their time; by default they are traced. Filters, tracker and reported
+        pose do not change the hits, so a trade study may share them.
     trackers
         Designs of trackers by name, one channel each; by default the case's own, named after its channels.
     detectors
@@ -181,11 +180,6 @@ def _render(
     truth = with_visibility(city.truth(time_s), snapshot.vehicle_id[snapshot.fixed :], traced.seen)
     clock.lap("truth")
     light = keep_frames(observer.radiance(traced.hits))
-    if isinstance(hits_cache, LightCache):  # of the sensor's channels alone
-        stored = hits_cache.light(time_s, observer, channels, partial(light, channels))
-        light = keep_frames(
-            light, lambda wanted, shade: stored if np.array_equal(wanted, channels) else shade()
-        )
     light(channels)
     clock.lap("shade")
     return RenderedFrame(time_s, pose, traced.hits, truth, light)

@@ -229,18 +229,3 @@ def test_a_case_that_reads_its_hits_scores_what_one_that_traces_does(three_cars,
     assert table["completeness"].gt(0).any()
     pan = table[table["channel"] == "pan"].drop(columns=["point", "case", "track.detect.dolp_boost"])
     pd.testing.assert_series_equal(pan.iloc[0], pan.iloc[1], check_names=False, check_exact=True)
-
-
-def test_light_is_shaded_once_for_what_differs_behind_the_lens(three_cars, tmp_path):
-    """Noise and depolarizer see the same light; another band does not."""
-    simulate(case(), hits_cache=HitsCache(tmp_path, geometry(case())))
-    noisy = case().replace({"sensor.read_noise_e": 60.0, "sensor.optics.depolarizer": True})
-    again = HitsCache(tmp_path, geometry(noisy))
-    recalled = simulate(noisy, hits_cache=again)
-    assert again.traced == 0 and len(list(tmp_path.rglob("*.light"))) == 4
-    for mine, expected in zip(scores(recalled), scores(simulate(noisy)), strict=True):
-        xr.testing.assert_identical(mine, expected)
-    narrow = case().replace({"sensor.band_um": (0.5, 0.6)})
-    other = HitsCache(tmp_path, geometry(narrow))
-    simulate(narrow, hits_cache=other)
-    assert other.read == 4 and len(list(tmp_path.rglob("*.light"))) == 8

@@ -86,10 +86,10 @@ def ideal_observer(
     read = [(mean, np.maximum(mean, 0) + dark_e**2) for mean in means]
     for k, rows, columns in find_changes(*frames, nearest, vehicles, dark_e):
         if group == "dolp":
-            both = [dolp_of(*one, rows, columns, sensor) for one in read]
-            if not len(both[0].mean):
+            without, present = (dolp_of(*one, rows, columns, sensor) for one in read)
+            if not len(present.mean):
                 continue
-            cumulants, limit = dolp_cumulants(*both, rng), math.inf
+            cumulants, limit = dolp_cumulants(without, present, rng), math.inf
         else:
             inside = is_in_group(group, rows, columns, sensor)
             if not inside.any():

@@ -1,7 +1,7 @@
 """Light that reaches the sensor: geometry traced once, spectra and Stokes components on demand."""
 
 from glintrack.render.light.sky import Sky, unpack_sky
-from glintrack.render.observer import FrameCache, LightCache, Observer, TracedFrame, keep_frames
+from glintrack.render.observer import FrameCache, Observer, TracedFrame, keep_frames
 from glintrack.render.rays.surfaces import Tracer
 from glintrack.render.shade import shade, shade_blocks
 from glintrack.render.shading.hits import Hits, one_sample_each
@@ -19,7 +19,6 @@ from glintrack.render.vehicles import (
 __all__ = [
     "FrameCache",
     "Hits",
-    "LightCache",
     "Observer",
     "Outlines",
     "SceneTracer",

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Any, Protocol, runtime_checkable
+from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
@@ -54,17 +54,6 @@ class FrameCache(Protocol):
         ...
 
 
-@runtime_checkable
-class LightCache(FrameCache, Protocol):
-    """Cache that also has the light of frames, for cases that share the sky and the sensor's channels."""
-
-    def light(
-        self, time_s: float, observer: "Observer", channels: Array, shade: Callable[[], xr.DataArray]
-    ) -> xr.DataArray:
-        """Return the cached light of a frame in some channels, or the result of ``shade``."""
-        ...
-
-
 @dataclass(frozen=True)
 class FrameRadiance:
     """Light of a traced frame on demand: `shade`, bound to the frame's hits (a `Radiance`)."""
@@ -86,11 +75,8 @@ class FrameRadiance:
         return FrameSpectra(self.hits, self.sky, self.materials)
 
 
-def keep_frames(radiance: Radiance, cache: Callable[..., xr.DataArray] | None = None) -> Radiance:
-    """Shade whole frames once for all calls with the same channels.
-
-    A frame comes from ``cache(channels, shade)``; by default from ``shade()``.
-    """
+def keep_frames(radiance: Radiance) -> Radiance:
+    """Shade whole frames once for all calls with the same channels."""
     frames: dict[bytes, xr.DataArray] = {}
 
     def look_up(channels: Array, pixels: Array | None = None) -> xr.DataArray:
@@ -98,8 +84,7 @@ def keep_frames(radiance: Radiance, cache: Callable[..., xr.DataArray] | None = 
             return radiance(channels, pixels)
         key = np.ascontiguousarray(channels).tobytes()
         if key not in frames:
-            shade = partial(radiance, channels)
-            frames[key] = shade() if cache is None else cache(channels, shade)
+            frames[key] = radiance(channels)
         return frames[key]
 
     return look_up

@@ -12,7 +12,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack import metrics, track
-from glintrack.camera import Camera, Pose
+from glintrack.camera import Pose
 from glintrack.core.arrays import Array
 from glintrack.core.records import Radiance, ServedQueries
 from glintrack.ortho import intersect_terrain
@@ -97,11 +97,6 @@ class Epoch:
     detections: track.Detections
 
     @property
-    def reported_pose(self) -> Pose:
-        """Reported pose of the camera."""
-        return self.true_frame.reported_pose
-
-    @property
     def city(self) -> City:
         """City of the scene."""
         return self.observer.city
@@ -110,11 +105,6 @@ class Epoch:
     def sky(self) -> Sky:
         """Sky of the scene."""
         return self.observer.sky
-
-    @property
-    def camera(self) -> Camera:
-        """The frame camera."""
-        return self.observer.camera
 
 
 @dataclass(frozen=True)

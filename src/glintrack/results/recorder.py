@@ -191,14 +191,18 @@ class Recorder:
     @staticmethod
     def _on_ground(epoch: Epoch, values: Array, gsd_m: float) -> Array:
         city = epoch.city
-        return rectify_array(values, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
+        return rectify_array(
+            values, epoch.observer.camera, epoch.true_frame.reported_pose, city.terrain, gsd_m, city.extent_m
+        )
 
     def _natural_colour(self, epoch: Epoch) -> Colour:
         sky = epoch.sky
         band = band_response(*self.case.sensor.band_um, sky.wavelength_um)
         pan = channel_weights(sky.wavelength_um, band[None] * sky.wavelength_um)
         polarized = dolp(epoch.true_frame.light(pan).values[:, :, 0])
-        bearings = in_view(epoch.camera, epoch.reported_pose, azimuth_of(sky.sun_direction))
+        bearings = in_view(
+            epoch.observer.camera, epoch.true_frame.reported_pose, azimuth_of(sky.sun_direction)
+        )
         if not holds_colours(sky.wavelength_um):
             return Colour(None, None, polarized, bearings)
         xyz, white = _xyz(epoch)

@@ -59,7 +59,7 @@ _SCORES = (
     "time_s", "completeness", "completeness_visible", "purity", "held_per_km2", "false_tracks",
     "false_per_km2", "should", "valid", "queries_asked", "queries_served", "exposure_ms",
 )  # fmt: skip
-SCORE_COLUMNS = dict(zip(_SCORES, _SCORES, strict=True))
+SCORE_COLUMNS: dict[str, str] = dict(zip(_SCORES, _SCORES, strict=True))
 SKY_WAVELENGTH_UM = 0.55
 _DPI = 200  # of pictures
 _FINE = 200  # wavelengths of a device's curve

@@ -33,7 +33,8 @@ def check_contrasts(design: StudyDesign, axes: Sequence[Axis]) -> None:
     ValueError
         In one sentence: the contrast, and the names that it must have.
     """
-    known: dict[str, list[Level]] = {CHANNEL: list(GROUPS)} | {axis.name: list(axis.labels) for axis in axes}
+    known: dict[str, list[Level]] = {axis.name: list(axis.labels) for axis in axes}
+    known[CHANNEL] = list(GROUPS)
     for contrast in design.contrasts:
         for name, level in [*contrast.of.items(), *contrast.against.items()]:
             if level not in known.get(name, []):

@@ -233,8 +233,8 @@ def superpixel_rays(
             stop = focus + down * below / np.cos(angle) if k else focus + away * height / max(away[1], 0.2)
             start = focus - down * height / np.cos(angle)
             axes.plot(*np.transpose([start, focus]), color=lens, linewidth=0.9)
-            style = {"color": wire, "alpha": opacity} if k else {"color": mirror}
-            axes.plot(*np.transpose([focus, stop]), **style, linewidth=0.9)
+            colour, alpha = (wire, opacity) if k else (mirror, 1.0)
+            axes.plot(*np.transpose([focus, stop]), color=colour, alpha=alpha, linewidth=0.9)
     side = 0.45 * pitch_um
     edge = side * np.array([np.cos(tilt_rad), np.sin(tilt_rad)])
     plate = [centres[0] - edge[0], centres[0] + edge[0]], [-edge[1], edge[1]]

@@ -4,7 +4,7 @@ Every function draws on a matplotlib Axes. A fisheye is the sky looking up: nort
 the middle, radius proportional to the zenith angle.
 """
 
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import xarray as xr
@@ -45,6 +45,7 @@ def fisheye(axes: Axes, tables: xr.Dataset, wavelength_um: float, quantity: Quan
     light = np.concatenate([light, light[:, :1]], axis=1)
     azimuth, zenith = tables["azimuth"].values, np.degrees(tables["zenith"].values)
     azimuth = np.r_[azimuth, azimuth[0] + 2 * np.pi]
+    style: dict[str, Any]
     if quantity == "I":
         values, style = np.log10(light[..., 0]), {"cmap": RADIANCE}
     elif quantity == "DoLP":
