@@ -8,7 +8,7 @@ import json
 import shutil
 import struct
 from collections.abc import Callable, Container
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
@@ -96,7 +96,7 @@ class HitsCache:
             self._own.mkdir(parents=True, exist_ok=True)
             disk = shutil.disk_usage(self._own)
             if disk.free - len(data) > _MIN_FREE_SHARE * disk.total:
-                cache.keep(stem, _HITS, self._own, data)
+                cache.store(stem, _HITS, self._own, data)
                 self.bytes_kept += len(data)
         except OSError:
             self.keep = False
@@ -109,8 +109,8 @@ def entry_size_bytes(elements: int, rays: float) -> float:
 
 def pack(traced: TracedFrame) -> bytes:
     """Serialize a frame's hits without loss, without directions, which follow from camera and pose."""
-    arrays = {f.name: getattr(traced.hits, f.name) for f in fields(traced.hits) if f.name != "look"}
-    arrays = {name: value for name, value in arrays.items() if isinstance(value, np.ndarray)}
+    hits = traced.hits._asdict().items()
+    arrays = {name: value for name, value in hits if name != "look" and isinstance(value, np.ndarray)}
     codec, layout, parts = Blosc(cname="lz4", clevel=1, shuffle=Blosc.SHUFFLE), [], []
     for name, value in {**arrays, "seen": np.asarray(traced.seen)}.items():
         planes = np.ascontiguousarray(np.moveaxis(value, -1, 0))  # components apart, for compression
