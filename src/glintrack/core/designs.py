@@ -243,7 +243,7 @@ def _sentence(error, model: type[BaseModel]) -> str:
         r"a list of \1", message.removeprefix("Input should be ")
     )
     key, got = ".".join(str(part) for part in _key_path(model, path)), _shorten(repr(error["input"]))
-    if unit := unit_of(str(path[-1])):
+    if path and (unit := unit_of(str(path[-1]))):
         if kind.startswith(("greater_than", "less_than")):
             requirement, got = f"{requirement} {unit}", f"{got} {unit}"
         elif kind.startswith(("float_", "int_")):
