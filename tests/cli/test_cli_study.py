@@ -89,7 +89,7 @@ def test_failed_cases_are_told_and_the_exit_code_says_so(tmp_path, cheap_cases):
         (["good.toml", "--serial", "--workers", "2"], "`--serial` must not be given"),
         (["report", "."], "`result` must be the folder of a study"),
         (["quickstart", "--dry-run"], "got the case quickstart (simulate it with glintrack run quickstart"),
-        (["mine.toml"], "got the case mine.toml (glintrack run mine.toml flies it"),
+        (["mine.toml"], "got the case mine.toml (simulate it with glintrack run mine.toml"),
         (["good.toml", "-o", "other"], "must be the folder of a study"),
     ],
 )
