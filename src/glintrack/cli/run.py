@@ -57,7 +57,7 @@ app, warm_up_app = command_app(), command_app()
 
 _STAGES = {"light": "rendering (waiting for it)", "callback": "loss budget, images"}
 _SCORES = {
-    "held_per_km2": "true/km²",
+    "held_per_km2": "tracked/km²",
     "completeness": "of all",
     "completeness_visible": "visible",
     "custody": "custody",
