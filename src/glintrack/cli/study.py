@@ -174,6 +174,8 @@ def _simulate(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, cac
         console.print(f"dashboard: {pool.link}")
     columns = (TextColumn("{task.description}"), BarColumn(BAR_WIDTH), TextColumn("{task.fields[left]}"))
     pace = StudyPace(plan, folder, todo)
+    if todo:
+        console.print(f"estimated time: {_estimate_time(pace, pool.slots)}")
     with Bar(console, *columns) as progress:
         # the bar counts work: cases with more rays per element take longer
         task = progress.add_task(plan.design.name, total=pace.whole, left=pace.summary(pool.slots))
@@ -221,14 +223,13 @@ def _print_plan(console: Console, plan: Plan, folder: StudyFolder, cache: Path, 
     mine = {point.replicate for point in plan.points if point.case_key in plan.cases}
     times = f" × {len(mine)} replicates" if len(mine) > 1 else ""
     traced = ahead.frames - ahead.in_cache - ahead.repeats
-    source = "from finished cases" if pace.is_measured else "a rough estimate: no case has finished yet"
     rows = (
         (
             "cases",
             f"{len(plan.cases)} ({len(plan.points) // len(every)} designs{times}), {len(todo)} to simulate",
         ),
         ("frames", f"{ahead.frames}: {traced} to trace, {ahead.in_cache} cached, {ahead.repeats} shared"),
-        ("time", f"{format_duration(pace.remaining_s(workers))} with {workers} workers, {source}"),
+        ("time", _estimate_time(pace, workers)),
         (
             "disk",
             f"{1e-6 * ahead.kept_bytes:.0f} MB of traced frames in {cache}, "
@@ -237,6 +238,14 @@ def _print_plan(console: Console, plan: Plan, folder: StudyFolder, cache: Path, 
     )
     console.print(make_table(None, (), rows))
     console.print(f"dry run of {plan.design.name}: nothing written")
+
+
+def _estimate_time(pace: StudyPace, workers: int) -> str:
+    """State the time that a study still takes, and the source of the estimate."""
+    source = "from finished cases" if pace.is_measured else "a rough estimate: no case has finished yet"
+    return (
+        f"{format_duration(pace.remaining_s(workers))} with {workers} worker{'s' * (workers != 1)}, {source}"
+    )
 
 
 def _print_table(console: Console, table: Table) -> None:
