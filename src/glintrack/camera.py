@@ -58,7 +58,7 @@ class Camera:
             self._check_distortion(self.distortion)
 
     def _check_distortion(self, distortion: Distortion) -> None:
-        """Refuse a lens under which some edge of the frame sees nothing, or two things."""
+        """Refuse a distortion that is not one-to-one up to the edge of the frame."""
         edge = np.linspace(-0.5, 0.5, 9)
         ring = np.concatenate(
             [np.stack([edge, 0 * edge + s], -1)[:, ::o] for s in (-0.5, 0.5) for o in (1, -1)]

@@ -85,7 +85,7 @@ def simulate(
     city, observer, sensor = scenario.city, scenario.observer, scenario.sensor
     times_s = scenario.flight.times_s
     if hits_cache is None:
-        observer.prepare()  # with a cache nothing may have to be traced
+        observer.prepare()  # with a cache, perhaps no frame needs tracing
     surface = observer.surface_model(case.ortho.gsd_m) if case.ortho.surface == "surface" else None
     lanes = city.lanes if case.track.roads.prior else ()  # from a map, not from the truth
     rectify = partial(
@@ -288,7 +288,7 @@ def _answer_queries(
     """Serve queries with mirrors, one in each column, and measure their spectra.
 
     Queries have no height: the tracker works on the map. At 50° off nadir, one metre of height displaces a
-    point by one metre.
+    point by 1.2 m.
     """
     sensor, terrain = true_frame.sensor, scenario.city.terrain
     if queries:

@@ -42,7 +42,17 @@ def test_the_loss_budget_is_one_table_with_a_column_a_group():
 
 def test_the_scores_fit_eighty_columns_with_their_headings_whole():
     lines = [line.split() for line in said(print_scores, tree())]
-    assert ["tracked/km²", "of", "all", "visible", "custody", "false/km²", "purity", "switches"] in lines
+    assert [
+        "tracked/km²",
+        "of",
+        "moving",
+        "of",
+        "visible",
+        "custody",
+        "false/km²",
+        "purity",
+        "switches",
+    ] in lines
     assert ["DoLP", "118", "0.302", "0.341", "0.338", "11.4", "0.941", "9"] in lines
 
 

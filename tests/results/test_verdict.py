@@ -45,18 +45,24 @@ def test_the_loop_that_holds_most_speaks():
 @pytest.mark.parametrize(
     ("changed", "where"),
     [
-        ({}, ". The largest loss is detection: from 59 to 35 of 100 moving vehicles."),
+        (
+            {},
+            ". The largest loss that no later stage recovers is "
+            "detection: from 59 to 35 of 100 moving vehicles.",
+        ),
         (
             {"detector": 0.58},
-            ". The largest loss is association and confirmation: from 58 to 33 of 100 moving vehicles.",
+            ". The largest loss that no later stage recovers is "
+            "association and confirmation: from 58 to 33 of 100 moving vehicles.",
         ),
         (
             {"known_background": 0.5},
-            "loss is vehicles that stand close together: from 90 to 50 of 100 moving vehicles.",
+            "recovers is vehicles that stand close together: from 90 to 50 of 100 moving vehicles.",
         ),
         (
             {"in_view": 0.5, "visible": 0.4, "detector": np.nan},
-            "The largest loss is vehicles outside the frame: from 100 to 50 of 100 moving vehicles.",
+            "The largest loss that no later stage recovers is "
+            "vehicles outside the frame: from 100 to 50 of 100 moving vehicles.",
         ),
     ],
 )
@@ -66,7 +72,7 @@ def test_the_largest_step_is_named(changed, where):
 
 def test_what_the_sensor_would_allow_is_said_of_visible_vehicles():
     said = verdict(tree(STAGES), SCORES)
-    assert ". With a known background 80 of 100 visible vehicles can be found. " in said
+    assert ". If the background were known, 72 of 100 moving vehicles could be found. " in said
 
 
 def test_what_was_not_scored_is_not_said():
@@ -96,7 +102,8 @@ def test_what_a_memory_wins_back_is_not_lost():
     stages = STAGES | {"predicted_background": 0.5, "reported_pose": 0.5, "detector": 0.62, "tracker": 0.55}
     said = verdict(tree(stages), SCORES)
     assert said.endswith(
-        "The largest loss is vehicles that stand close together: from 90 to 72 of 100 moving vehicles."
+        "The largest loss that no later stage recovers is "
+        "vehicles that stand close together: from 90 to 72 of 100 moving vehicles."
     )
 
 
@@ -137,7 +144,7 @@ def test_frames_before_the_first_track_are_told():
 def test_a_loss_budget_of_other_frames_than_the_scores_says_so():
     of = flown([0.5] * 9, STAGES | {"tracker": 0.41})
     (said,) = reservations(of, SCORES, None)
-    assert "with 41 of 100 moving vehicles tracked. The scores are of all frames" in said
+    assert "with 41 of 100 moving vehicles tracked. The scores use all frames" in said
 
 
 def test_few_movers_are_told():
@@ -160,7 +167,8 @@ def test_what_is_told_late_says_so_and_what_was_told_at_once():
     assert "(mean of all frames, fixed lag 1.5 s)" in verdict(of, SCORES)
     (said,) = reservations(of, SCORES, None)
     assert said.startswith(
-        "Without the lag of 1.5 s (`track.reporting.lag_s`), 35 of 100 visible vehicles are tracked, with 30"
+        "Tracks are reported 1.5 s late (`track.reporting.lag_s`), so that later frames count. "
+        "Reported at once, 35 of 100 visible vehicles are tracked, with 30"
     )
 
 

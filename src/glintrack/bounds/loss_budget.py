@@ -23,6 +23,11 @@ STAGE_LABELS: Mapping[str, str] = {
     "tracker": "tracker",
 }
 STAGES = tuple(STAGE_LABELS)
+STAGES_NOTE = (
+    'Down to "with reported poses" each stage detects in one frame, with less information than the stage '
+    "above. The detector in use, oracle association (detections joined by the truth) and the tracker use "
+    "several frames, so they can be higher."
+)
 DETECTION_STAGES = ("known_background", "predicted_background", "reported_pose", "detector")
 TRACKING_STAGES = ("oracle_association", "tracker")
 REACH_M = 4.0  # of a detection from its vehicle's middle, or half its length and a metre

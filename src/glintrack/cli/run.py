@@ -11,7 +11,7 @@ import xarray as xr
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
-from glintrack.bounds import STAGE_LABELS
+from glintrack.bounds import STAGE_LABELS, STAGES_NOTE
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
 from glintrack.cli.options import (
@@ -58,8 +58,8 @@ app, warm_up_app = command_app(), command_app()
 _STAGES = {"light": "rendering (waiting for it)", "callback": "loss budget, images"}
 _SCORES = {
     "held_per_km2": "tracked/km²",
-    "completeness": "of all",
-    "completeness_visible": "visible",
+    "completeness": "of moving",
+    "completeness_visible": "of visible",
     "custody": "custody",
     "false_per_km2": "false/km²",
     "purity": "purity",
@@ -129,7 +129,7 @@ def run(
         def show(epoch: Epoch) -> None:
             window[:] = [epoch.city.extent_m]
             if epoch.channel == last:
-                tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} vehicles tracked"
+                tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} moving vehicles tracked now"
                 done = epoch.index + 1 == design.flight.frames
                 doing = "scoring, writing …" if done else tracked
                 pace.add(epoch.index, time.perf_counter() - compilation.seconds)
@@ -197,10 +197,7 @@ def print_loss_budget(console: Console, tree: xr.DataTree) -> None:
         shares = (one.get(stage, math.nan) for one in budgets.values())
         rows.append([STAGE_LABELS.get(stage, stage), *("–" if v != v else f"{100 * v:.0f}" for v in shares)])
     console.print(make_table(title, ["", *map(_heading, budgets)], rows, min_width=len(title)))
-    if any(one.get("tracker", 0) > one.get("oracle_association", 1) for one in budgets.values()):
-        console.print(
-            "The tracker also follows vehicles between detections. Its row can be above the rows before it."
-        )
+    console.print(STAGES_NOTE)
     for group, line in accuracy_lines(tree).items():
         console.print(f"{CHANNEL_WORDS.get(group, group)}: {line}")
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import jinja2
 from markupsafe import Markup, escape
 
-from glintrack.bounds import STAGE_LABELS
+from glintrack.bounds import STAGE_LABELS, STAGES_NOTE
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case, find_packaged_case
 from glintrack.report.page_data import budget_bars, page_data, plan
@@ -94,6 +94,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         scores=score_rows({name: part["scores"] for name, part in data["channels"].items()}),
         score_columns=[CHANNEL_WORDS.get(name, name) for name in data["channels"]],
         loss_budget=budget_rows(budgets),
+        stages_note=STAGES_NOTE,
         budget_columns=[CHANNEL_WORDS.get(name, name) for name in budgets],
         accuracy=[(CHANNEL_WORDS.get(g, g), line) for g, line in accuracy.items()],
         roc_rows=[

@@ -152,6 +152,9 @@ def stage_shares(tree: xr.DataTree) -> dict[str, dict[str, float]]:
     return {group: one for group, one in found.items() if one}
 
 
+_BOUND_WORDS = {"sensor": "limit of the sensor's noise", "detector": "single detections"}
+
+
 def format_accuracy(attributes: Mapping[Any, Any]) -> str:
     """Line with the median bounds of positions and the tracker's error.
 
@@ -164,11 +167,11 @@ def format_accuracy(attributes: Mapping[Any, Any]) -> str:
         name: float(attributes.get(f"position_bound_{name}_median_m", math.nan))
         for name in ("sensor", "detector")
     }
-    parts = [f"{name} bound {value:.2g} m" for name, value in medians.items() if math.isfinite(value)]
+    parts = [f"{_BOUND_WORDS[name]} {value:.2g} m" for name, value in medians.items() if math.isfinite(value)]
     rms = float(attributes.get("position_error_tracker_rms_m", math.nan))
     if math.isfinite(rms):
         median = float(attributes["position_error_tracker_median_m"])
-        parts.append(f"tracker {median:.2g} m (rms {rms:.2g} m)")
+        parts.append(f"tracks {median:.2g} m (rms {rms:.2g} m)")
     return "median position error: " + (", ".join(parts) or "not measured")
 
 
@@ -199,9 +202,9 @@ def sun_angles_deg(case: Case) -> tuple[float, float]:
 
 
 def _largest_loss(budget: Mapping[str, float]) -> Iterator[str]:
-    known, visible = budget.get("known_background"), budget.get("visible")
-    if known is not None and visible:
-        yield f"With a known background {100 * known / visible:.0f} of 100 visible vehicles can be found"
+    known = budget.get("known_background")
+    if known is not None:
+        yield f"If the background were known, {_per_hundred(known)} of 100 moving vehicles could be found"
     steps, ends, before = {}, {}, 1.0
     stages = list(budget)
     for stage in _LOSSES:
@@ -213,7 +216,10 @@ def _largest_loss(budget: Mapping[str, float]) -> Iterator[str]:
     worst = max(steps, key=lambda stage: steps[stage], default=None)
     if worst is not None and steps[worst] > 0:
         before, after = (_per_hundred(share) for share in ends[worst])
-        yield f"The largest loss is {_LOSSES[worst]}: from {before} to {after} of 100 moving vehicles"
+        yield (
+            f"The largest loss that no later stage recovers is {_LOSSES[worst]}: from {before} to {after} of "
+            "100 moving vehicles"
+        )
 
 
 def _about_scores(
@@ -226,15 +232,14 @@ def _about_scores(
     )
     if math.isfinite(visible + false):
         yield (
-            f"Without the lag of {live['report_lag_s']:g} s (`track.reporting.lag_s`), "
-            f"{_per_hundred(visible)} of 100 visible vehicles are tracked, with {_count(false)} false tracks "
-            "per km²."
+            f"Tracks are reported {live['report_lag_s']:g} s late (`track.reporting.lag_s`), so that later "
+            f"frames count. Reported at once, {_per_hundred(visible)} of 100 visible vehicles are tracked, "
+            f"with {_count(false)} false tracks per km²."
         )
     if share is not None and abs(share - float(of["completeness"])) > _MAX_DIFFERENCE:
         yield (
-            f"The loss budget is of {budget_frames(tree)}, with {_per_hundred(share)} of 100 moving vehicles "
-            "tracked. The scores are of all frames, including the first ones, in which the background is "
-            "learnt."
+            f"The loss budget uses {budget_frames(tree)}, with {_per_hundred(share)} of 100 moving vehicles "
+            "tracked. The scores use all frames, also the first ones, in which the background is learnt."
         )
 
 

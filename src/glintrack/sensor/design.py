@@ -36,7 +36,7 @@ class OpticsDesign(Design):
     """Noll's index (4 defocus, 5-6 astigmatism, 7-8 coma, 11 spherical) to RMS."""
     scatter_fraction: float = Field(default=0.0, ge=0, lt=1, description="Light scattered into the wings")
     relative_illumination: Literal["cos4", "even"] = "cos4"
-    """Fall-off of light over the field; calibration takes it out, not its noise."""
+    """Illumination over the field. Calibration corrects the signal; the corners keep a lower SNR."""
     lens: str = ""
     """Prescription (`glintrack sensor lens`) by name or file: sets wavefront, distortion and vignetting by
     its rays (extra `optics`)."""
@@ -108,9 +108,9 @@ class SensorDesign(Design):
     f_number: float = Field(default=5.6, ge=0.5, le=64, description="Focal ratio")
     optics: OpticsDesign = OpticsDesign()
     spot_sigma_um: float = Field(default=12.0, ge=0, le=200)
-    """RMS radius along an axis of the lens's further aberrations, a Gaussian spot."""
+    """Standard deviation of a Gaussian blur for all aberrations that are not given as Zernike terms."""
     optics_transmission: float = Field(default=0.85, gt=0, le=1)
-    """Light that the lens lets through."""
+    """Transmittance of the optics."""
     pitch_um: float = Field(default=17.0, ge=1, le=100)
     """Spacing of the elements (Table 1: 17, 10.8, 8.5)."""
     fill_factor: float = Field(default=1.0, gt=0, le=1, description="Area of an element that collects light")
@@ -140,7 +140,7 @@ class SensorDesign(Design):
     """Over the whole band, or silicon, or a CSV file (wavelength_um, efficiency)."""
     integration_time_ms: float = Field(default=0.085, gt=0, le=1000, description="Exposure of a frame")
     auto_exposure: AutoExposure = AutoExposure()
-    clock_hz: float = Field(default=10.0, gt=0, le=1e4, description="Highest frame rate (Table 1: 2 and 10)")
+    clock_hz: float = Field(default=10.0, gt=0, le=1e4, description="Highest frame rate of the sensor")
     full_well_e: float = Field(default=267e3, gt=0, le=1e12)
     """Electrons an element can hold; the default is the IMX250MZR's per area on 17 µm."""
     gain_e_per_count: float | None = Field(default=None, gt=0, le=1e9)
@@ -163,10 +163,10 @@ class SensorDesign(Design):
     spectrometer_integration_time_ms: float = Field(default=10.0, gt=0, le=1000)
     """Exposure of a spectrum."""
     mirror_settling_ms: float = Field(default=0.0, ge=0, le=1000)
-    """Of a frame, before its exposures, while mirrors still move."""
+    """Settling time of the mirrors in each frame, before the exposure starts."""
     fill_dark_mirrors: Literal["none", "spectrum", "interpolate", "polarizers"] = "none"
-    """Pan where a mirror was away: nothing, the served spectrum's integral, the mean of the neighbours, or S0
-    of the same superpixel's polarizers."""
+    """Pan value of a mirror that faces the spectrometer: NaN, the band integral of its spectrum, the mean of
+    the neighbours, or S0 of the same superpixel."""
 
     @model_validator(mode="before")
     @classmethod

@@ -87,7 +87,7 @@ class Targets:
     Parameters
     ----------
     id
-        Never reused; rising.
+        Identity. Identities rise and are never reused.
     mean, covariance
         Kalman state ``[east, north, east speed, north speed]``, over all modes. [m, m s⁻¹]
     mode_mean, mode_covariance, mode_probability
@@ -99,11 +99,12 @@ class Targets:
     history
         One bit per past frame, the latest lowest; 1 where a detection was assigned.
     age_s
-        Since the first detection. [s]
+        Time since the first detection. [s]
     unseen_s, misses
         Time and frames since a detection was assigned. [s]
     confirmed
-        Reported.
+        True for a confirmed target. With `reporting.method = "confirmation"` it is also reported; with
+        "existence" it is a candidate for reporting.
     feature, spectra
         Mean spectral feature and number of spectra it comes from.
     frames_since_query
@@ -111,7 +112,7 @@ class Targets:
     quality
         Share of the coasting time that is left: 1 after a long time of measurements, 0 at deletion. [1]
     trust
-        Recent mean of its detections' likelihood ratios; frames without one count as `MISSED_NAT`. [nat]
+        Recent mean of its detections' log-likelihood ratios; frames without one count as `MISSED_NAT`. [nat]
     """
 
     id: Int[Array, "target"]
