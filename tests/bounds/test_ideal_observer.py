@@ -18,24 +18,30 @@ from glintrack.bounds.ideal_observer import (
 
 DRAWS = 200_000
 AGREEMENT = 0.02
+DARK_E = 20.0  # dark noise
+
+
+def noisy(without, present, full_well_e, dark_e=DARK_E):
+    """Elements with shot noise and dark noise."""
+    return Elements(without, present, without + dark_e**2, present + dark_e**2, full_well_e)
 
 
 def bright(count, scale, level=4000.0):
     """Elements that a vehicle changes by some hundredths of their light."""
     rng = np.random.default_rng(3)
     without = level * rng.uniform(0.3, 1.0, count)
-    return Elements(without, without * (1 + scale * rng.normal(size=count)), 20.0, 1e5)
+    return noisy(without, without * (1 + scale * rng.normal(size=count)), 1e5)
 
 
 def by_draws(elements, false_alarm, rng):
     """P_D of the same ratio, its threshold and its hits counted over Poisson and normal draws."""
 
     def ratio(mean):
-        e = rng.poisson(mean, (DRAWS, len(mean))) + elements.dark_e * rng.standard_normal((DRAWS, len(mean)))
+        e = rng.poisson(mean, (DRAWS, len(mean))) + DARK_E * rng.standard_normal((DRAWS, len(mean)))
         is_full = e >= elements.full_well_e
         total = 0.0
         for sign, m in ((1, elements.present), (-1, elements.without)):
-            v = m + elements.dark_e**2
+            v = m + DARK_E**2
             inside = norm.logpdf(e, m, np.sqrt(v))
             total += sign * np.where(is_full, norm.logsf(elements.full_well_e, m, np.sqrt(v)), inside)
         return total.sum(axis=1)
@@ -65,7 +71,7 @@ def test_the_scales_span_a_tenth_to_nine_tenths():
 def test_dim_elements_whose_noise_changes_with_the_vehicle():
     """300 electrons that become 250 or 350: noise differs by a tenth, which the ratio uses."""
     without = np.full(6, 300.0)
-    elements = Elements(without, without + np.array([50, -50, 50, -50, 50, -50]), 20.0, 1e5)
+    elements = noisy(without, without + np.array([50, -50, 50, -50, 50, -50]), 1e5)
     expected = by_draws(elements, 1e-2, np.random.default_rng(2))
     found = detection_probability(*swap(element_cumulants(elements), 1e-2))
     assert found == pytest.approx(expected, abs=AGREEMENT)
@@ -74,13 +80,13 @@ def test_dim_elements_whose_noise_changes_with_the_vehicle():
 def test_full_elements_are_censored():
     """The mean without the vehicle lies at the full well: half of the draws are cut off."""
     without, full = np.full(8, 9_900.0), 9_900.0
-    elements = Elements(without, without + 90.0, 20.0, full)
+    elements = noisy(without, without + 90.0, full)
     expected = by_draws(elements, 1e-2, np.random.default_rng(4))
     found = detection_probability(*swap(element_cumulants(elements), 1e-2))
     assert found == pytest.approx(expected, abs=AGREEMENT)
     free = detection_probability(*swap(element_cumulants(elements._replace(full_well_e=1e6)), 1e-2))
     assert free > found + 0.02
-    over = Elements(np.full(8, 20_000.0), np.full(8, 30_000.0), 20.0, full)
+    over = noisy(np.full(8, 20_000.0), np.full(8, 30_000.0), full)
     assert detection_probability(*swap(element_cumulants(over), 1e-2)) == pytest.approx(0.01, abs=1e-6)
 
 
@@ -88,7 +94,7 @@ def test_matched_filter_in_closed_form():
     """With noise that does not change, P_D = Q(Q⁻¹(P_FA) − √(ΣΔ²/σ²)), down to a false alarm in a million."""
     without = np.full(20, 1e6)
     change = np.linspace(-1500, 1500, 20)
-    elements = Elements(without, without + change, 20.0, 1e9)
+    elements = noisy(without, without + change, 1e9)
     snr = math.sqrt((change**2 / (without + 400)).sum())
     cumulants, limit = element_cumulants(elements)
     assert detectability(cumulants) == pytest.approx(snr, rel=1e-3)
@@ -103,14 +109,14 @@ def test_a_panel_worked_by_hand():
     With the mean of both variances, 1630 e: √(36000/1630) = 4.70. At a false alarm in a thousand
     Q(3.09 − 4.7) = 0.946.
     """
-    elements = Elements(np.full(10, 1600.0), np.full(10, 1660.0), 0.0, 1e5)
+    elements = noisy(np.full(10, 1600.0), np.full(10, 1660.0), 1e5, 0.0)
     cumulants, limit = element_cumulants(elements)
     assert detectability(cumulants) == pytest.approx(4.70, abs=0.02)
     assert detection_probability(cumulants, 1e-3, limit) == pytest.approx(0.946, abs=0.01)
 
 
 def test_no_change_is_found_as_often_as_it_is_false():
-    same = Elements(np.full(5, 900.0), np.full(5, 900.0), 20.0, 1e5)
+    same = noisy(np.full(5, 900.0), np.full(5, 900.0), 1e5)
     assert detection_probability(*swap(element_cumulants(same), 1e-3)) == 1e-3
 
 
@@ -159,7 +165,7 @@ def by_draws_of_dolp(both, models, rng):
 @pytest.mark.parametrize("count", [1, 30])
 def test_a_glint_over_the_dark_is_found_and_has_a_detectability(without, present, count):
     """K(s) ends within a step of 0 or 1 there: noise grows or shrinks a thousandfold; no NaN, no warning."""
-    elements = Elements(np.full(count, without), np.full(count, present), 1.0, 1e5)
+    elements = noisy(np.full(count, without), np.full(count, present), 1e5, 1.0)
     cumulants, limit = element_cumulants(elements)
     with np.errstate(invalid="raise", divide="raise"):
         assert detectability(cumulants) > 20
@@ -168,5 +174,5 @@ def test_a_glint_over_the_dark_is_found_and_has_a_detectability(without, present
 
 def test_a_faint_glint_over_the_dark_has_a_probability():
     for present in np.geomspace(2.0, 60.0, 12):
-        cumulants, limit = element_cumulants(Elements(np.array([0.0]), np.array([present]), 0.1, 1e5))
+        cumulants, limit = element_cumulants(noisy(np.array([0.0]), np.array([present]), 1e5, 0.1))
         assert 1e-3 <= detection_probability(cumulants, 1e-3, limit) <= 1 and detectability(cumulants) > 0

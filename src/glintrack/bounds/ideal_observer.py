@@ -31,7 +31,7 @@ from glintrack.bounds.evidence import (
 from glintrack.bounds.finder import DIRECTIONS, FOOTPRINTS_M
 from glintrack.bounds.frame import full_electrons
 from glintrack.core.arrays import Array
-from glintrack.sensor import Sensor
+from glintrack.sensor import Sensor, SensorDesign
 
 REACH_ELEMENTS = 14.0  # from a vehicle's silhouette: its shadow
 _CHANGED = 0.05  # of the noise: less is the renderer's rounding
@@ -81,10 +81,10 @@ def ideal_observer(
         Random generator of the draws of DoLP.
     """
     probability, d_prime = np.zeros(len(vehicles)), np.zeros(len(vehicles))
-    frames, dark_e, full_e = (without_e, present_e), sensor.design.dark_noise_e, full_electrons(sensor)
+    frames, design, full_e = (without_e, present_e), sensor.design, full_electrons(sensor)
     means = [np.minimum(mean, full_e) for mean in frames]
-    read = [(mean, np.maximum(mean, 0) + dark_e**2) for mean in means]
-    for k, rows, columns in find_changes(*frames, nearest, vehicles, dark_e):
+    read = [(mean, design.noise_variance_e2(mean)) for mean in means]
+    for k, rows, columns in find_changes(*frames, nearest, vehicles, design):
         if group == "dolp":
             without, present = (dolp_of(*one, rows, columns, sensor) for one in read)
             if not len(present.mean):
@@ -95,7 +95,8 @@ def ideal_observer(
             if not inside.any():
                 continue
             without, present = (frame[rows[inside], columns[inside]] for frame in frames)
-            cumulants, limit = element_cumulants(Elements(without, present, dark_e, full_e))
+            variances = design.noise_variance_e2(without), design.noise_variance_e2(present)
+            cumulants, limit = element_cumulants(Elements(without, present, *variances, full_e))
         d_prime[k] = detectability(cumulants)
         probability[k] = detection_probability(cumulants, false_alarm, min(limit, _MAX_S))
     return probability, d_prime
@@ -119,10 +120,10 @@ def assign_elements(on: Int[Array, "row column"]) -> Int[Array, "row column"]:
 
 
 def find_changes(
-    without_e: Array, present_e: Array, nearest: Array, vehicles: Array, dark_e: float
+    without_e: Array, present_e: Array, nearest: Array, vehicles: Array, design: SensorDesign
 ) -> Iterator[tuple[int, Array, Array]]:
     """Row of each vehicle that changes any elements, and rows and columns of these elements."""
-    sigma = np.sqrt(np.maximum(without_e, 0) + dark_e**2)
+    sigma = np.sqrt(design.noise_variance_e2(without_e))
     rows, columns = np.nonzero((np.abs(present_e - without_e) > _CHANGED * sigma) & (nearest >= 0))
     owner = nearest[rows, columns]
     order = np.argsort(owner, kind="stable")
@@ -148,15 +149,16 @@ class Elements(NamedTuple):
     ----------
     without, present
         Expected electrons without the vehicle and with it. [e]
-    dark_e
-        RMS of the noise in the dark: dark current, read, quantizer. [e]
+    variance_without, variance_present
+        Variance of the noise of each. [e²]
     full_well_e
         Electrons at which an element saturates: all above is one outcome. [e]
     """
 
     without: Float[Array, "element"]
     present: Float[Array, "element"]
-    dark_e: float
+    variance_without: Float[Array, "element"]
+    variance_present: Float[Array, "element"]
     full_well_e: float
 
 
@@ -165,8 +167,7 @@ def element_cumulants(elements: Elements) -> tuple[Cumulants, float]:
 
     Shot noise is taken as normal with the variance of its mean: of 50 electrons and more.
     """
-    m0, m1 = (np.asarray(m, float) for m in elements[:2])
-    v0, v1 = np.maximum(m0, 0) + elements.dark_e**2, np.maximum(m1, 0) + elements.dark_e**2
+    m0, m1, v0, v1 = (np.asarray(values, float) for values in elements[:4])
     full = elements.full_well_e
     full0, full1 = log_ndtr((m0 - full) / np.sqrt(v0)), log_ndtr((m1 - full) / np.sqrt(v1))
     grows = v1 > v0

@@ -94,12 +94,12 @@ def position_information(
     sensor
         The sensor.
     """
-    full, dark_e = full_electrons(sensor), sensor.design.dark_noise_e
+    full, design = full_electrons(sensor), sensor.design
     present, east, north = (np.minimum(e, full) for e in expected_e)
     out = np.zeros((len(vehicles), 2, 2))
-    frames = [(e, np.maximum(e, 0) + dark_e**2) for e in (present, east, north)]
+    frames = [(e, design.noise_variance_e2(e)) for e in (present, east, north)]
     farthest = np.where(np.abs(east - present) > np.abs(north - present), east, north)
-    for k, rows, columns in find_changes(present, farthest, nearest, vehicles, dark_e):
+    for k, rows, columns in find_changes(present, farthest, nearest, vehicles, design):
         if group == "dolp":
             of = [dolp_of(*frame, rows, columns, sensor) for frame in frames]
             lengths = [np.linalg.norm(one.mean, axis=1) for one in of]

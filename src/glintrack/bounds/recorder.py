@@ -165,20 +165,21 @@ class BudgetRecorder:
         polarized: bool,
     ) -> dict[str, tuple[PredictedBackground, Array]]:
         """Backgrounds by stage, each with the places of the finder's cells in the frame at its pose."""
-        dark2, sensor, full = self.sensor.design.dark_noise_e**2, self.sensor, full_electrons(self.sensor)
+        sensor, full = self.sensor, full_electrons(self.sensor)
         true_cells, reported_cells = (
             cell_places(self.observer.camera, pose, self._ground_m, self.observer.city.extent_m)
             for pose in (frame.true_pose, frame.reported_pose)
         )
         read = np.minimum(known, full)
-        out = {"known_background": (PredictedBackground(read, np.maximum(read, 0) + dark2), true_cells)}
+        variance = sensor.design.noise_variance_e2(read)
+        out = {"known_background": (PredictedBackground(read, variance), true_cells)}
         before = [
             np.minimum(mean_electrons(p.planes, sensor, polarized), full).astype(np.float32) for p in past
         ]
         for stage, reported in (("predicted_background", False), ("reported_pose", True)):
             seen = [p.past(electrons, reported) for p, electrons in zip(past, before, strict=True)]
             found = predict(seen, points[reported], self.observer.camera, sensor.side, frame.time_s)
-            variance = found.variance + np.maximum(found.electrons, 0) + dark2
+            variance = found.variance + sensor.design.noise_variance_e2(found.electrons)
             out[stage] = (
                 PredictedBackground(found.electrons, variance),
                 reported_cells if reported else true_cells,

@@ -6,8 +6,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
 from glintrack.core.distortion import Distortion
 from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, check_band
@@ -302,6 +304,10 @@ class SensorDesign(Design):
         """RMS of dark current, read and quantizer noise of one element. [e]"""
         dark_e = self.dark_current_e_per_s * self.integration_time_ms * 1e-3
         return math.sqrt(dark_e + self.read_noise_e**2 + self.electrons_per_count**2 / 12)
+
+    def noise_variance_e2(self, electrons: Array | float) -> Array:
+        """Variance of shot and dark noise of elements with so many electrons of light. [e²]"""
+        return np.maximum(electrons, 0) + self.dark_noise_e**2
 
     def resolve_files(self, folder: Path) -> "SensorDesign":
         """Resolve relative file names against a folder."""

@@ -266,7 +266,7 @@ def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: Serv
     side = sensor.side
     rows, columns = (n // side for n in measured.shape)
     electrons = measured * np.tile(sensor.electrons_per_reading, (rows, columns)).astype(np.float32)
-    sigma_e = np.sqrt(np.maximum(electrons, 0) + np.float32(sensor.design.dark_noise_e**2))
+    sigma_e = np.sqrt(sensor.design.noise_variance_e2(electrons))
     away = served.is_served
     i, j = sensor.mirror_element
     part = np.float32(sensor.exposure_part)

@@ -298,7 +298,7 @@ def summary(sensor: Sensor) -> list[tuple[str, str]]:
         ("radiance that fills the well", f"{full:.1f} W m⁻² sr⁻¹ µm⁻¹"),
         ("noise in the dark", f"{noise_equivalent_radiance(sensor):.3g} W m⁻² sr⁻¹ µm⁻¹"),
         ("", f"{design.dark_noise_e:.1f} e"),
-        ("signal to noise, half full", f"{half / math.sqrt(half + design.dark_noise_e**2):.0f}"),
+        ("signal to noise, half full", f"{half / math.sqrt(design.noise_variance_e2(half)):.0f}"),
         ("MTF at Nyquist", f"{transfer:.3f} at {nyquist[0]:.1f} mm⁻¹ and {middle:.2f} µm"),
         ("light on the element it belongs to", f"{kernel.at(node, node).max():.3f}"),
     ]
