@@ -136,9 +136,9 @@ def test_sections_without_content_are_absent(tmp_path, folder):
 
 def test_how_well_positions_can_be_known_stands_on_the_page(folder):
     result = add_loss_budget(folder, group="pan")
-    assert "limit of the sensor" not in build_page(result) and result.tree is not None
+    assert "bound from sensor noise" not in build_page(result) and result.tree is not None
     result.tree["bound/pan"].attrs.update({"position_bound_sensor_median_m": 0.0123})
-    assert "pan, median position error: limit of the sensor&#39;s noise 0.012 m." in build_page(result)
+    assert "pan, median position error: bound from sensor noise 0.012 m." in build_page(result)
 
 
 def test_names_with_html_are_escaped(tmp_path):

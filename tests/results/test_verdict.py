@@ -47,22 +47,19 @@ def test_the_loop_that_holds_most_speaks():
     [
         (
             {},
-            ". The largest loss that no later stage recovers is "
-            "detection: from 59 to 35 of 100 moving vehicles.",
+            ". The largest lasting loss is detection: from 59 to 35 of 100 moving vehicles.",
         ),
         (
             {"detector": 0.58},
-            ". The largest loss that no later stage recovers is "
-            "association and confirmation: from 58 to 33 of 100 moving vehicles.",
+            ". The largest lasting loss is association and reporting: from 58 to 33 of 100 moving vehicles.",
         ),
         (
             {"known_background": 0.5},
-            "recovers is vehicles that stand close together: from 90 to 50 of 100 moving vehicles.",
+            "loss is vehicles that stand close together: from 90 to 50 of 100 moving vehicles.",
         ),
         (
             {"in_view": 0.5, "visible": 0.4, "detector": np.nan},
-            "The largest loss that no later stage recovers is "
-            "vehicles outside the frame: from 100 to 50 of 100 moving vehicles.",
+            "The largest lasting loss is vehicles outside the frame: from 100 to 50 of 100 moving vehicles.",
         ),
     ],
 )
@@ -102,7 +99,7 @@ def test_what_a_memory_wins_back_is_not_lost():
     stages = STAGES | {"predicted_background": 0.5, "reported_pose": 0.5, "detector": 0.62, "tracker": 0.55}
     said = verdict(tree(stages), SCORES)
     assert said.endswith(
-        "The largest loss that no later stage recovers is "
+        "The largest lasting loss is "
         "vehicles that stand close together: from 90 to 72 of 100 moving vehicles."
     )
 

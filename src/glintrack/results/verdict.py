@@ -27,7 +27,7 @@ _LOSSES = {
     "predicted_background": "background prediction from past frames (edges, parallax, mosaic)",
     "reported_pose": "navigation errors",
     "detector": "detection",
-    "tracker": "association and confirmation",
+    "tracker": "association and reporting",
 }
 _MIN_IN_VIEW = 0.75  # share of the movers in the frame, below which the small field is a reservation
 _MAX_DIFFERENCE = 0.015  # between the tracker's stage and completeness, without a reservation
@@ -152,7 +152,7 @@ def stage_shares(tree: xr.DataTree) -> dict[str, dict[str, float]]:
     return {group: one for group, one in found.items() if one}
 
 
-_BOUND_WORDS = {"sensor": "limit of the sensor's noise", "detector": "single detections"}
+_BOUND_WORDS = {"sensor": "bound from sensor noise", "detector": "bound from detections"}
 
 
 def format_accuracy(attributes: Mapping[Any, Any]) -> str:
@@ -171,7 +171,7 @@ def format_accuracy(attributes: Mapping[Any, Any]) -> str:
     rms = float(attributes.get("position_error_tracker_rms_m", math.nan))
     if math.isfinite(rms):
         median = float(attributes["position_error_tracker_median_m"])
-        parts.append(f"tracks {median:.2g} m (rms {rms:.2g} m)")
+        parts.append(f"tracks reported at once {median:.2g} m (rms {rms:.2g} m)")
     return "median position error: " + (", ".join(parts) or "not measured")
 
 
@@ -217,8 +217,7 @@ def _largest_loss(budget: Mapping[str, float]) -> Iterator[str]:
     if worst is not None and steps[worst] > 0:
         before, after = (_per_hundred(share) for share in ends[worst])
         yield (
-            f"The largest loss that no later stage recovers is {_LOSSES[worst]}: from {before} to {after} of "
-            "100 moving vehicles"
+            f"The largest lasting loss is {_LOSSES[worst]}: from {before} to {after} of 100 moving vehicles"
         )
 
 
