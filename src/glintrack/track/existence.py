@@ -5,10 +5,10 @@ vehicle near its estimated position, and may change at every epoch. The log odds
 model of the tracker's observations (``data/calibration/existence.toml``), fitted for the detector `mosaic` by
 ``python tools/calibrate.py existence``.
 
-A long or tall vehicle is detected in more than one place, and each place gets a track. Two vehicles in one lane
-keep a distance, and two side by side soon differ in velocity. Two tracks of one vehicle stay close with the same
-velocity. Such duplicates are tracked separately and reported as one track, at their mean position, under the
-oldest id.
+A long or tall vehicle is detected in more than one place, and each place gets a track. Two vehicles in one
+lane keep a distance, and two side by side soon differ in velocity. Two tracks of one vehicle stay close with
+the same velocity. Such duplicates are tracked separately and reported as one track, at their mean position,
+under the oldest id.
 """
 
 from dataclasses import dataclass, replace
