@@ -227,7 +227,7 @@ def test_scores_quality_roc_design_devices_and_provenance_are_there(opened, tmp_
         f"{swept} 0: 4, 0.6",
         f"{swept} 0.06: 1, 0.5",
         f"{swept} 0.4: 0, 0.2",
-        "pan, as flown: 0, 0.45",
+        "pan, this run: 0, 0.45",
     ]
     changed = page.locator("#design table").first.locator("tbody tr").all_inner_texts()
     assert [row.split()[0] for row in changed] == ["name", "seed"]

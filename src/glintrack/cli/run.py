@@ -57,9 +57,9 @@ app, warm_up_app = command_app(), command_app()
 
 _STAGES = {"light": "rendering (waiting for it)", "callback": "loss budget, images"}
 _SCORES = {
-    "held_per_km2": "tracked/km²",
-    "completeness": "of moving",
-    "completeness_visible": "of visible",
+    "held_per_km2": "per km²",
+    "completeness": "moving",
+    "completeness_visible": "visible",
     "custody": "custody",
     "false_per_km2": "false/km²",
     "purity": "purity",
@@ -209,7 +209,8 @@ def print_scores(console: Console, tree: xr.DataTree) -> None:
         for channel in LOOP_COLOURS
         if channel in tree.children
     ]
-    console.print(make_table("scores of all frames, by channel", ["", *_SCORES.values()], rows))
+    title = "scores of all frames: tracked vehicles per km², and tracked share of the moving and visible ones"
+    console.print(make_table(title, ["", *_SCORES.values()], rows))
 
 
 def _print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:

@@ -96,7 +96,7 @@ const plots = (() => {
       out.append(one);
     };
     for (const p of line.points) place(p, 3.5, style("fill"), p[2]);
-    if (line.own) place(line.own, 8, `fill:none;stroke-width:2.5;${style("stroke")}`, "this flight");
+    if (line.own) place(line.own, 8, `fill:none;stroke-width:2.5;${style("stroke")}`, "this run");
   }
 
   return { svg, short, colourOf, mark, key, draw };
