@@ -1,7 +1,7 @@
 """Run compiled kernels and other work in threads, and count what is compiled.
 
 Kernels are numba functions that release the interpreter's lock (``nogil=True``) and work on rows ``start`` to
-``stop``. This takes half the compilation time of numba's own parallel loops (docs/decisions/0006).
+``stop``. This takes half the compilation time of numba's own parallel loops (docs/decisions/0004).
 """
 
 import itertools

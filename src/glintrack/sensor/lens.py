@@ -15,7 +15,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from numba.core.errors import NumbaIRAssumptionWarning
+from numba import NumbaIRAssumptionWarning
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
