@@ -43,6 +43,9 @@ def build(
     origin: Annotated[tuple[float, float] | None, option("Position of the mesh's origin [m, m]")] = None,
     unit: Annotated[float | None, option("Length of one unit of the mesh [m]")] = None,
     trees: Annotated[bool, option("Plant trees")] = True,
+    buildings: Annotated[
+        bool | None, option("Build houses by rule where a network has none [default: if it has no house]")
+    ] = None,
 ) -> None:
     """Build a city from data, list the assumptions, and write a case over it."""
     atomic.check_new(output)
@@ -56,6 +59,7 @@ def build(
         "city": given[0] if given else "embedded",
         "seed": seed,
         "trees": trees,
+        "fill_blocks": buildings,
         "osm_file": _absolute(osm),
         "net_file": _absolute(sumo_net),
         "polygons_file": _absolute(polygons),

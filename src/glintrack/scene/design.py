@@ -21,7 +21,7 @@ _ONLY_FOR = {
     **dict.fromkeys(("net_file", "polygons_file"), ("net",)),
     "osm_file": ("osm",),
     **dict.fromkeys(("mesh_file", "mesh_up", "mesh_unit_m"), ("mesh",)),
-    "centre_m": ("net", "osm"),
+    **dict.fromkeys(("centre_m", "fill_blocks"), ("net", "osm")),
     "crs": ("net", "osm", "mesh"),
     "traffic_file": ("embedded", "net", "osm", "mesh"),
 }
@@ -78,6 +78,9 @@ class SceneDesign(Design):
     """polyconvert's polygons of that network."""
     osm_file: FileName | None = None
     """OpenStreetMap XML, .osm, plain or gzipped."""
+    fill_blocks: bool | None = None
+    """Build houses by rule on land where the files have none. By default only if they have none at all; a
+    motorway needs `false`."""
     mesh_file: FileName | None = None
     """Triangles: .glb, .gltf, .obj, .ply or .stl."""
     mesh_up: Literal["y", "z"] | None = None

@@ -64,6 +64,18 @@ def test_polygons_become_buildings(files):
     assert 21 <= city.static.vertices[inside, 2].max() < 35  # walls to 21 m, then a roof
 
 
+def test_no_houses_are_built_where_blocks_are_not_filled(files, monkeypatch):
+    def refuse(*arguments):
+        raise AssertionError("houses by rule")
+
+    assert any("filled" in sentence for sentence in build_scene(tiny(files)).assumptions)
+    monkeypatch.setattr("glintrack.scene.sources.user_network.neighbourhood", refuse)
+    plain = build_scene(tiny(files, fill_blocks=False))
+    assert not any("filled" in sentence for sentence in plain.assumptions)
+    with pytest.raises(AssertionError, match="houses by rule"):
+        build_scene(tiny(files, seed=2))
+
+
 def test_streets_through_buildings_are_told(files):
     """A house over the street's middle; one beside it, and one that a lane grazes, are no passage."""
     over, beside, grazed = "60,-12 72,-12 72,12 60,12 60,-12", "20,10 40,10 40,30 20,30", "98.5,-9 99,-9 99,9"

@@ -117,8 +117,9 @@ def _site(
         footprints=tuple(replace(f, shape=s) for f, s in shapes if area.contains(s.centroid)),
         grounds=tuple((kind, shape.intersection(area)) for kind, shape in grounds if shape.intersects(area)),
     )
-    assumptions += (*more, *guessed, *_guesses(local, streets_through_buildings(near, local)))
-    layout = partial(_layout, near, local, area)
+    fill = design.fill_blocks if design.fill_blocks is not None else not local.footprints
+    assumptions += (*more, *guessed, *_guesses(local, streets_through_buildings(near, local), fill))
+    layout = partial(_layout, near, local, area, fill)
     return Site(recording, place, extent, layout, traffic_origin_m=centre, assumptions=assumptions)
 
 
@@ -196,7 +197,7 @@ def streets_through_buildings(network: RoadNetwork, found: Polygons) -> list[str
     return list(dict.fromkeys(ids))
 
 
-def _guesses(found: Polygons, through: list[str]) -> list[str]:
+def _guesses(found: Polygons, through: list[str], fill: bool) -> list[str]:
     """Sentences on streets through buildings, and on the parts that are drawn by rule."""
     said = []
     if through:
@@ -215,12 +216,14 @@ def _guesses(found: Polygons, through: list[str]) -> list[str]:
         said.append(f"roofs, walls and windows of {count} buildings are drawn by rule")
     if found.courtyards:
         said.append(f"{found.courtyards} rings inside others are taken for courtyards")
-    if not count:
+    if fill:
         said.append("blocks without buildings are filled with houses, shops and parks by rule")
     return [*said, "trees, gardens and parked vehicles are drawn by rule"]
 
 
-def _layout(network: RoadNetwork, found: Polygons, area: Polygon, rng: np.random.Generator) -> Layout:
+def _layout(
+    network: RoadNetwork, found: Polygons, area: Polygon, fill: bool, rng: np.random.Generator
+) -> Layout:
     streets = road_areas(network, area)
     building_rng, ground_rng, tree_rng, parking_rng, fill_rng = rng.spawn(5)
     outlines = [(f.shape, f.height_m) for f in found.footprints]
@@ -228,7 +231,7 @@ def _layout(network: RoadNetwork, found: Polygons, area: Polygon, rng: np.random
     built = unary_union([b.footprint for b in buildings])
     patches, parked, wood = _grounds(found, streets.all, built, ground_rng)
     covered = unary_union([shape for kind, shape in found.grounds if kind != "lawn"])
-    if not found.footprints:
+    if fill:
         taken = unary_union([built.buffer(3), covered])
         free = area.difference(taken) if not taken.is_empty else area
         hood = neighbourhood(network, streets, free, use_by_size, fill_rng)
