@@ -11,10 +11,11 @@ import typer
 import typer.core
 from rich.console import Console
 
-from glintrack.cli.options import STYLE, option
+from glintrack.cli.options import STYLE, open_console, option, print_readings
 from glintrack.core.installation import VERSION
 from glintrack.core.numba_cache import set_cache_folder
 from glintrack.io.cache import cache_folder
+from glintrack.io.readings import collect_readings
 from glintrack.io.untrusted import plain
 
 # command -> the first sentence of its help, which `glintrack --help` shows without loading the command
@@ -129,7 +130,9 @@ def _call() -> int:
             raise ValueError(
                 f"names and values must be without control codes, got {word!r} (rename the file)"
             )
-    code = typer.main.get_command(app)(prog_name="glintrack", standalone_mode=False)
+    with collect_readings() as readings:
+        code = typer.main.get_command(app)(prog_name="glintrack", standalone_mode=False)
+    print_readings(open_console(), readings)
     return code if isinstance(code, int) else 0
 
 

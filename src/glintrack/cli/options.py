@@ -11,6 +11,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from glintrack.io.readings import Reading
+from glintrack.io.untrusted import plain
+
 STYLE: dict = {
     "add_completion": False,
     "pretty_exceptions_enable": False,
@@ -81,6 +84,19 @@ def make_table(
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def print_readings(console: Console, readings: Iterable[Reading]) -> None:
+    """Print what files have, what was used, and what was left out and why."""
+    rows = []
+    for reading in readings:
+        reasons = [f"{count:,}: {reason}" for reason, count in reading.left_out] or ["–"]
+        remarks = [*reasons, *reading.notes]
+        counts = (f"{reading.found:,} {reading.content}", f"{reading.used:,}")
+        rows.append((reading.file, *counts, "\n".join(map(plain, remarks))))
+    if rows:
+        headings = ("file", "in the file", "used", "left out, and why; how it was read")
+        console.print(make_table("What was read", headings, rows, left=4))
 
 
 class Bar(Progress):

@@ -17,6 +17,7 @@ from glintrack.io import atomic
 from glintrack.io.crs import metric_crs, warn_off_map
 from glintrack.io.detections import DetectionTable, read_detections, read_truth
 from glintrack.io.orthoimages import Geotransform, open_frames
+from glintrack.io.readings import report_reading
 from glintrack.io.toml import read_toml
 from glintrack.io.tracks import WRITERS, TrackGeoreference, write_tracks
 from glintrack.results.roc import ROC_SCORES, roc
@@ -72,6 +73,11 @@ def track_files(
         wanted = DETECTIONS_DESIGN.replace(changes)
         wanted = strict_design(wanted) if strict else wanted
         tracked = track_detections(table, wanted, area)
+        box = " ".join(f"{v:.0f}" for v in tracked.area_m)
+        count = len(table.time_s)
+        report_reading(
+            source, "detections", count, count - tracked.outside, {f"outside {box} m": tracked.outside}
+        )
         for note in _detection_notes(table, tracked):
             console.print(note)
         rows, (west, _, _, north) = tracked.rows, tracked.area_m
