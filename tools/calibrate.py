@@ -87,8 +87,8 @@ SETTLED_S = 4.0  # before it the ground is still being learnt
 LIKELY = 3.0  # nat from which a peak's place counts among the residuals
 # where the fit holds
 VALID = {
-    "detector": "mosaic", "pitch_um": [8.5, 17.0], "rate_hz": [2.0, 10.0], "off_nadir_deg": [50.0],
-    "max_speed_m_s": 22.0, "flights": ["quickstart 11", "quickstart 12"],
+    "detector": "mosaic", "gsd_m": [0.375, 0.75], "rate_hz": [2.0, 10.0], "off_nadir_deg": [50.0],
+    "max_speed_m_s": [22.0], "flights": ["quickstart 11", "quickstart 12"],
 }  # fmt: skip
 
 

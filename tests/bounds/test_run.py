@@ -12,7 +12,6 @@ from glintrack.case.packaged import find_case
 from glintrack.results.read import read_result
 from glintrack.results.run import run
 from glintrack.sensor import build_sensor
-from glintrack.track.initiation import RULES
 from tests.plain import plain_case
 
 
@@ -85,10 +84,11 @@ def test_the_oracle_uses_the_rules_of_the_tracker_in_use(name):
     design = Case.from_toml(find_case(name)).track
     times = 0.5 * np.arange(9)
     rules = oracle_rules(design, times, True)
-    assert rules.hits == RULES["existence"].hits != RULES[design.initiation.rules].hits
+    in_use = design.effective(True).initiation.in_use
+    assert rules.hits == in_use.confirm_hits != design.initiation.in_use.confirm_hits
     assert rules.lag_s == design.reporting.lag_s > 0
     fallback = oracle_rules(design, times, False)
-    assert fallback.hits == RULES[design.initiation.rules].hits
+    assert fallback.hits == design.initiation.in_use.confirm_hits
     assert fallback.lag_s == 0 and fallback.single_score == np.inf
 
 

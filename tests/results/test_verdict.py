@@ -194,6 +194,9 @@ def test_more_false_tracks_than_asked_for_are_told():
         scores = {"all": SCORES["pan"] | {"held_per_km2": 12.5, "false_per_km2": false}}
         said = " ".join(reservations(xr.DataTree(), scores, case))
         assert ("94 of 100 reported tracks are false, more than the limit of 10" in said) == told
+    without_ratios = xr.DataTree.from_dict({"all/detections": xr.Dataset({"contrast": ("row", [1.0])})})
+    scores = {"all": SCORES["pan"] | {"held_per_km2": 12.5, "false_per_km2": 183.0}}
+    assert "more than the limit" not in " ".join(reservations(without_ratios, scores, case))
 
 
 def test_what_case_check_warns_of_is_told_with_the_answer():

@@ -145,3 +145,10 @@ def test_a_mirror_must_settle_and_expose_within_a_frame():
     with pytest.raises(ValueError, match=r"`sensor.mirror_settling_ms` must leave the 10 ms of exposure"):
         plain_sensor(clock_hz=10.0, mirror_settling_ms=91.0)
     assert plain_sensor(layout="pan", mirror_settling_ms=500.0).has_mirror is False
+
+
+def test_light_lost_at_a_mirror_is_lost_to_the_spectrometer_alone():
+    grid = np.arange(0.4, 1.001, 0.01)
+    whole, half = (build_sensor(plain_sensor(mirror_throughput=share), grid) for share in (1.0, 0.5))
+    np.testing.assert_allclose(half.band_electrons_per_radiance, 0.5 * whole.band_electrons_per_radiance)
+    assert half.electrons_per_radiance == whole.electrons_per_radiance

@@ -113,7 +113,7 @@ def test_a_full_disk_costs_the_cache_not_the_case(three_cars, tmp_path, monkeypa
         {"sensor": {"polarizer": "grid_a"}},
         {"sensor": {"f_number": 8.0, "clock_hz": 5.0}},
         {"sensor": {"optics": {"defocus_um": 10.0}}},
-        {"track": {"detect": {"dolp_boost": 5.0}}},
+        {"track": {"detect": {"detector": "median-motion", "dolp_boost": 5.0}}},
         {"navigation": {"position_rms_m": 1.0}},
         {"atmosphere": {"aerosol": "urban"}},
         {"ortho": {"gsd_m": 0.75}},
@@ -215,7 +215,8 @@ def test_two_studies_on_one_cache_at_once_give_what_one_without_gives(three_cars
 
 def test_a_case_that_reads_its_hits_scores_what_one_that_traces_does(three_cars, tmp_path):
     """To the last bit: a boost of DoLP must not move pan because its case came second."""
-    plan = read_plan(write_study(tmp_path, "[axes]\ntrack.detect.dolp_boost = [1, 5]\n", base=SMALL))
+    base = SMALL + '[track.detect]\ndetector = "median-motion"\n'
+    plan = read_plan(write_study(tmp_path, "[axes]\ntrack.detect.dolp_boost = [1, 5]\n", base=base))
     with StudyFolder(tmp_path / "out").open(plan) as folder, serial() as pool:
         report = run_study(plan, folder, pool, tmp_path / "cache")
         table = write_results(plan, folder)

@@ -135,7 +135,8 @@ def test_a_doubted_track_is_followed_on_and_comes_back_as_itself():
 def test_all_are_reported_where_detections_say_nothing_of_themselves():
     found = track.Detections(np.zeros((1, 2)), np.eye(2)[None], np.ones(1), np.ones(1))
     design = plain_tracker().replace({"query.policy": "none", "reporting.max_false_share": 0.0} | EXISTENCE)
-    state = track.step_detections(track.start(design), found, 0.0, AREA)
+    with pytest.warns(UserWarning, match="detections have no log-likelihood ratio"):
+        state = track.step_detections(track.start(design), found, 0.0, AREA)
     state = replace(state, targets=replace(state.targets, confirmed=np.ones(1, bool)))
     assert track.report(state).sizes["track"] == 1
 
@@ -158,6 +159,8 @@ def test_at_first_sight_only_what_stands_apart_is_confirmed():
     [
         ("existence", "initiation.rules", "frames"),
         ("existence", "initiation.confirm_score", 3.0),
+        ("existence", "initiation.confirm_hits", 3),
+        ("existence", "initiation.confirm_ratio", 4.0),
         ("confirmation", "reporting.max_false_share", 0.2),
         ("confirmation", "reporting.lag_s", 0.0),
     ],

@@ -139,9 +139,10 @@ def test_misses_make_a_vehicle_stand():
     np.testing.assert_allclose(unseen, before, atol=rounding)  # where there is no data a miss says nothing
 
 
-def test_what_drives_fast_does_not_stand():
+@pytest.mark.parametrize("braking_m_s2", [3.0, 6.0])
+def test_what_drives_fast_does_not_stand(braking_m_s2):
     """At rest the chance to stop is the design's, at v it is exp(−v²/2s²) of that; the rest goes on."""
-    design = plain_tracker().replace({"motion.model": "imm"})
+    design = plain_tracker().replace({"motion.model": "imm", "motion.braking_m_s2": braking_m_s2})
     dt, variance = 0.5, 0.25
     motion = motion_model(design, dt)
     mean = np.zeros((2, 4, 4))
@@ -151,7 +152,7 @@ def test_what_drives_fast_does_not_stand():
     )
     after = predict_modes(start, motion, np.repeat(NEVER, 2)).probability
     np.testing.assert_allclose(after[0], motion.transition[0], atol=rounding)
-    slow = np.exp(-0.5 * 5.0**2 / ((1.0 + 3.0 * dt) ** 2 + variance))
+    slow = np.exp(-0.5 * 5.0**2 / ((1.0 + braking_m_s2 * dt) ** 2 + variance))
     np.testing.assert_allclose(after[1, 3], slow * motion.transition[0, 3], atol=rounding)
     np.testing.assert_allclose(after[1].sum(), 1, atol=rounding)
     np.testing.assert_array_equal(after[1, 1:3], motion.transition[0, 1:3])

@@ -26,7 +26,7 @@ from glintrack.loop import case_navigation_errors, frame_rngs, true_frame_at
 from glintrack.render import Observer
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.track import TrackDesign
-from glintrack.track.initiation import RULES, confirmation
+from glintrack.track.initiation import confirmation
 
 
 @dataclass
@@ -204,8 +204,8 @@ def oracle_rules(
 ) -> OracleRules:
     """Rules of the tracker that are in use for detections with or without likelihood ratios."""
     design = design.effective(has_likelihood_ratio)
-    rules = RULES[design.initiation.rules]
+    rules = design.initiation.in_use
     hits, window = confirmation(rules, float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0)
-    single_score = rules.detection_ratio if has_likelihood_ratio else np.inf
+    single_score = rules.confirm_ratio if has_likelihood_ratio else np.inf
     coast_s, lag_s = design.initiation.coast_s, design.reporting.effective_lag_s
-    return OracleRules(hits, window, rules.age_s, single_score, coast_s, lag_s)
+    return OracleRules(hits, window, rules.confirm_min_age_s, single_score, coast_s, lag_s)

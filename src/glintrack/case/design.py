@@ -99,6 +99,10 @@ class Case(Design):
             sun_direction(self.atmosphere)
         except ValueError as error:  # a sun that is not up
             raise ValueError(str(error).replace("`", "`atmosphere.", 1)) from error
+        try:  # `auto` is `mosaic` in a case
+            self.track.replace({"detect.detector": self.track.detect.detector.replace("auto", "mosaic")})
+        except ValueError as error:
+            raise ValueError(str(error).replace("`", "`track.", 1)) from error
         low, high = min(self.atmosphere.altitudes_m), max(self.atmosphere.altitudes_m)
         if self.flight.kind != "waypoints" and not low <= self.flight.altitude_m <= high:
             raise ValueError(

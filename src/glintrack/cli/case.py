@@ -12,6 +12,7 @@ from rich.text import Text
 
 from glintrack.case.check import assess
 from glintrack.case.design import Case
+from glintrack.case.fitted_range import describe_initiation, tracker_notes
 from glintrack.case.packaged import find_case, list_cases, list_studies
 from glintrack.cli.options import (
     CaseArgument,
@@ -60,8 +61,8 @@ def check(case: CaseArgument, allow_outside_paths: OutsidePathsOption = False) -
         f"{path} is a valid case: {flight.frames} frames at {flight.rate_hz:g} Hz over {design.scene.city}"
     )
     for line in (
-        *(f"  {line}" for line in about.lines()),
-        *(f"warning: {one}" for one in about.of_sensor + about.of_flight),
+        *(f"  {line}" for line in [*about.lines(), describe_initiation(design)]),
+        *(f"warning: {one}" for one in [*about.of_sensor, *about.of_flight, *tracker_notes(design)]),
     ):
         console.print(line)
 

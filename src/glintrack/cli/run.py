@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
 from glintrack.bounds import STAGE_LABELS, STAGES_NOTE
 from glintrack.case.design import Case
+from glintrack.case.fitted_range import tracker_notes
 from glintrack.case.packaged import find_case
 from glintrack.cli.options import (
     BAR_WIDTH,
@@ -113,6 +114,8 @@ def run(
         one.check_channel(design.channels)
     check_new_folder(output or Path(f"result-{design.name}"))
     console = open_console()
+    for note in tracker_notes(design):
+        console.print(f"warning: {note}")
     if not is_complete():
         _show_warm_up(console)
     window: list[tuple[float, float, float, float]] = []

@@ -122,7 +122,7 @@ def reservations(
     return [
         *_about_scores(tree, name, scores[name], budget),
         *_small_field(budget, case),
-        *_about_design(budget, scores[name], case),
+        *_about_design(tree, name, budget, scores[name], case),
         *_late_tracks(tree, name),
         *_few_movers(tree, name, case),
     ]
@@ -261,7 +261,7 @@ def _small_field(budget: Mapping[str, float], case: Case | None) -> Iterator[str
 
 
 def _about_design(
-    budget: Mapping[str, float], scores: Mapping[str, float], case: Case | None
+    tree: xr.DataTree, name: str, budget: Mapping[str, float], scores: Mapping[str, float], case: Case | None
 ) -> Iterator[str]:
     """Warn of a flight too short for a loss budget, of the sensor, and of too many false tracks."""
     if case is None:
@@ -275,7 +275,9 @@ def _about_design(
         yield from (f"Design: {warning}." for warning in assess(case).of_sensor)
     valid, false = (float(scores.get(key, math.nan)) for key in ("held_per_km2", "false_per_km2"))
     limit, share = case.track.reporting.max_false_share, false / (valid + false) if false > 0 else math.nan
-    if case.track.reporting.uses_existence and share > _MAX_FALSE_RATIO * limit:
+    found = f"/{name}/detections"
+    used = case.track.effective(found not in tree.groups or "log_likelihood_ratio" in tree[found])
+    if used.reporting.uses_existence and share > _MAX_FALSE_RATIO * limit:
         yield (
             f"{_per_hundred(share)} of 100 reported tracks are false, more than the limit of "
             f"{_per_hundred(limit)} (`track.reporting.max_false_share`). The limit is met only on flights "

@@ -166,6 +166,8 @@ class SensorDesign(Design):
     """Exposure of a spectrum."""
     mirror_settling_ms: float = Field(default=0.0, ge=0, le=1000)
     """Settling time of the mirrors in each frame, before the exposure starts."""
+    mirror_throughput: float = Field(default=1.0, gt=0, le=1)
+    """Light into the spectrometer over light on the mirror."""
     fill_dark_mirrors: Literal["none", "spectrum", "interpolate", "polarizers"] = "none"
     """Pan value of a mirror that faces the spectrometer: NaN, the band integral of its spectrum, the mean of
     the neighbours, or S0 of the same superpixel."""

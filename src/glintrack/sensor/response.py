@@ -134,10 +134,10 @@ def response_curves(design: SensorDesign, wavelength_um: Float[Array, "wavelengt
 def spectrometer_response(
     design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
 ) -> Float[Array, "wavelength"]:
-    """Lens × the spectrometer's quantum efficiency: the array's own, without its filter."""
+    """Lens × mirror × the spectrometer's quantum efficiency: the array's own, without its filter."""
     band_um = float(wavelength_um[0]), float(wavelength_um[-1])
     free = design.model_copy(update={"band_um": band_um, "response": None})
-    return element_response(free, wavelength_um)
+    return design.mirror_throughput * element_response(free, wavelength_um)
 
 
 def spectrometer_bands(

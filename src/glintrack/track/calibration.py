@@ -67,7 +67,7 @@ def read_calibration(name: str) -> Calibration:
     """Read a calibration by the name of its file, without ``.toml``."""
     values = read_toml(calibration_file(name), "calibration")
     models = {}
-    for key, own in values["models"].items():
+    for key, own in values.get("models", {}).items():
         weights = own["weights"]
         models[key] = LogisticModel(tuple(weights), own["intercept"], np.array([*weights.values()], float))
     return Calibration(values["source"], values["valid"], models, values.get("constants", {}))

@@ -4,14 +4,27 @@ All times are in seconds, so that they mean the same at any frame rate.
 """
 
 import math
+from dataclasses import dataclass
+from operator import attrgetter
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from glintrack.core.designs import Design
+from glintrack.track.calibration import read_calibration
 
 # Initiation with existence reporting: generous, since reporting decides. Chosen with the existence model.
 EXISTENCE_INITIATION = {"rules": "existence", "confirm_score": 2.0}
+_CONFIRMATION_KEYS = (
+    "rules", "confirm_score", "confirm_hits", "confirm_window", "confirm_min_age_s", "confirm_travel_m",
+    "confirm_speed_m_s", "confirm_ratio",
+)  # fmt: skip
+# value of a key; value that uses the keys which it ignores; these keys
+_IGNORED_KEYS = {
+    ("reporting.method", "existence"): ("confirmation", [f"initiation.{key}" for key in _CONFIRMATION_KEYS]),
+    ("reporting.method", "confirmation"): ("existence", ["reporting.max_false_share", "reporting.lag_s"]),
+    ("detect.detector", "mosaic"): ("median-motion", ["detect.dolp_boost", "detect.dolp_threshold"]),
+}
 
 
 class DetectDesign(Design):
@@ -26,9 +39,9 @@ class DetectDesign(Design):
     """Part of a frame that is searched: pan, DoLP, or all in one statistic, which is both planes of a
     rectified frame and every element of a mosaic. The case's `channels` set it, one loop each."""
     dolp_boost: float = Field(default=1.0, ge=1, le=100)
-    """Factor on DoLP before it is clipped at 1, in rectified frames; the paper's boost is 5. [1]"""
+    """Factor on DoLP before it is clipped at 1; `median-motion` only. The paper's boost is 5. [1]"""
     dolp_threshold: float = Field(default=0.0, ge=0, lt=1)
-    """Value to which smaller DoLP is raised after the boost, in rectified frames. [1]"""
+    """Value to which smaller DoLP is raised after the boost; `median-motion` only. [1]"""
     max_speed_m_s: float = Field(default=22.0, ge=3, le=60)
     """Greatest speed of the motions along which evidence is added over frames. Processor time of the search
     grows with its square. [m s⁻¹]"""
@@ -47,6 +60,8 @@ class MotionDesign(Design):
     """Mean time for which a vehicle drives straight; `imm` only. [s]"""
     stopped_detection_probability: float = Field(default=0.3, ge=0, lt=1)
     """Probability of detection of a stopped vehicle, which change detection forgets; `imm` only. [1]"""
+    braking_m_s2: float = Field(default=3.0, ge=0, le=100)
+    """Deceleration with which a vehicle may come to a stop between two frames; `imm` only. [m s⁻²]"""
 
     @property
     def modes(self) -> int:
@@ -76,19 +91,73 @@ class AssociationDesign(Design):
         return -2.0 * math.log1p(-self.gate_probability)
 
 
+@dataclass(frozen=True)
+class InitiationRules:
+    """Rules of confirmation and coasting in use: the keys of the same names, or their preset."""
+
+    confirm_hits: int
+    confirm_window: int
+    confirm_min_age_s: float
+    confirm_travel_m: float
+    confirm_speed_m_s: float
+    confirm_ratio: float
+    tentative_coast_s: float
+    stopped_coast_s: float
+    coast_ramp_s: float
+
+
 class InitiationDesign(Design):
     """Track initiation, confirmation, coasting and deletion; the ``[track.initiation]`` table."""
 
     rules: Literal["change", "existence", "rectified", "frames", "detections"] = "change"
-    """Rules of confirmation and deletion (`initiation.RULES`): for change detection with `confirmation` or
-    `existence` reporting, for rectified frames (`rectified`, and `frames` with the detector `median-motion`),
-    or for detections of another program."""
+    """Preset of the keys below that are left out (`data/calibration/initiation.toml`): for change detection
+    with `confirmation` or `existence` reporting, for rectified frames (`rectified`, and `frames` with the
+    detector `median-motion`), or for detections of another program."""
     confirm_score: float = Field(default=6.0, ge=-1000, le=1000)
     """Log-likelihood ratio of vehicle against clutter at which a track is confirmed. [nat]"""
+    confirm_hits: int | None = Field(default=None, ge=1, le=32)
+    """Number of the last `confirm_window` frames in which a track must be measured (default: see `rules`)."""
+    confirm_window: int | None = Field(default=None, ge=1, le=32)
+    """Number of frames of which `confirm_hits` are required. If more frames fit into `confirm_min_age_s`, the
+    same share of them is required (default: see `rules`)."""
+    confirm_min_age_s: float | None = Field(default=None, ge=0, le=3600)
+    """Minimum age of a confirmed track (default: see `rules`). [s]"""
+    confirm_travel_m: float | None = Field(default=None, ge=0, le=1000)
+    """Minimum distance from a track's first position at confirmation (default: see `rules`). [m]"""
+    confirm_speed_m_s: float | None = Field(default=None, ge=0, le=100)
+    """Minimum speed at confirmation: slower change is parallax (default: see `rules`). [m s⁻¹]"""
+    confirm_ratio: float | None = Field(default=None, ge=-1000, le=1000)
+    """Log-likelihood ratio of a single detection that confirms a track at once (default: see `rules`). [nat]
+    """
+    speed_sigma_m_s: float = Field(default=8.0, gt=0, le=100)
+    """Standard deviation of each speed component of a new track, if its detection has no velocity. [m s⁻¹]"""
     coast_s: float = Field(default=2.0, ge=0, le=3600)
     """Time for which a confirmed track coasts while it moves. [s]"""
+    stopped_coast_s: float | None = Field(default=None, ge=0, le=3600)
+    """Time for which a confirmed track coasts while it stands (default: see `rules`). [s]"""
+    tentative_coast_s: float | None = Field(default=None, ge=0, le=3600)
+    """Time for which an unconfirmed track coasts; at least one frame (default: see `rules`). [s]"""
+    coast_ramp_s: float | None = Field(default=None, gt=0, le=3600)
+    """Time for which a track must be measured to coast for the full time. A track measured for a share of it
+    coasts for that share (default: see `rules`). [s]"""
     duplicate_m: float = Field(default=1.8, ge=0, le=100)
     """Two tracks nearer than this with equal velocity are one vehicle; the weaker one is deleted. [m]"""
+
+    @property
+    def in_use(self) -> InitiationRules:
+        """The keys that are set, and those of the preset for the others."""
+        preset = read_calibration("initiation").constants[self.rules]
+        own = {name: getattr(self, name) for name in preset}
+        return InitiationRules(**{name: preset[name] if v is None else v for name, v in own.items()})
+
+    @model_validator(mode="after")
+    def _hits_within_window(self) -> Self:
+        if self.confirm_hits is None and self.confirm_window is None:
+            return self
+        hits, window = self.in_use.confirm_hits, self.in_use.confirm_window
+        if hits > window:
+            raise ValueError(f"`confirm_hits` must be at most confirm_window, {window}; got {hits}")
+        return self
 
 
 class ReportingDesign(Design):
@@ -97,9 +166,9 @@ class ReportingDesign(Design):
     method: Literal["existence", "confirmation"] = "existence"
     """Report the tracks that are most likely vehicles (`existence`), or all confirmed tracks
     (`confirmation`). With `existence` a model gives each track a probability of existence, and fixed rules
-    confirm tracks: `initiation.rules` and `initiation.confirm_score` must keep their defaults. The model
-    needs detections with log-likelihood ratios, as the detector `mosaic` gives them. In epochs without them
-    the tracker falls back to `confirmation`, with the defaults of these keys."""
+    confirm tracks: `initiation.rules` and `initiation.confirm_…` must be left out. The model needs
+    detections with log-likelihood ratios, as the detector `mosaic` gives them. In epochs without them the
+    tracker warns and falls back to `confirmation`, with the defaults of these keys."""
     max_false_share: float = Field(default=0.1, ge=0, le=1)
     """Largest expected share of false tracks among the reported ones; `existence` only. [1]"""
     lag_s: float = Field(default=1.5, ge=0, le=60)
@@ -164,24 +233,16 @@ class TrackDesign(Design):
     roads: RoadsDesign = RoadsDesign()
 
     @model_validator(mode="after")
-    def _no_key_that_reporting_ignores(self) -> Self:
-        method, key, table = self.reporting.method, "reporting", self.reporting
-        other, ignored = "existence", ["max_false_share", "lag_s"]
-        if method == "existence":
-            key, table, other, ignored = (
-                "initiation",
-                self.initiation,
-                "confirmation",
-                [*EXISTENCE_INITIATION],
-            )
-        for name in ignored:
-            if getattr(table, name) not in (
-                type(table).model_fields[name].default, EXISTENCE_INITIATION.get(name)
-            ):  # fmt: skip
-                raise ValueError(
-                    f"`{key}.{name}` must be left out with reporting.method = {method!r}, which ignores it, "
-                    f"got {getattr(table, name)!r} (reporting.method = {other!r} uses it)"
-                )
+    def _no_ignored_keys(self) -> Self:
+        for (choice, value), (other, keys) in _IGNORED_KEYS.items():
+            for name in keys if attrgetter(choice)(self) == value else ():
+                table, _, key = name.partition(".")
+                found, default = attrgetter(name)(self), type(getattr(self, table)).model_fields[key].default
+                if found not in (default, EXISTENCE_INITIATION.get(key)):
+                    raise ValueError(
+                        f"`{name}` must be left out with {choice} = {value!r}, which ignores it, "
+                        f"got {found!r} ({choice} = {other!r} uses it)"
+                    )
         return self
 
     def effective(self, has_likelihood_ratio: bool) -> "TrackDesign":

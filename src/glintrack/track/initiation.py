@@ -1,7 +1,6 @@
 """Targets as arrays: track initiation, confirmation, coasting and deletion."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -9,12 +8,11 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
-from glintrack.track.design import TrackDesign
+from glintrack.track.design import InitiationRules, TrackDesign
 from glintrack.track.detect.detections import no_detections
 from glintrack.track.detect.frame import Grid
 from glintrack.track.motion import COAST_DAMPING_S, Modes, combine_modes, initial_modes
 
-SPEED_SIGMA_M_S = 8.0  # standard deviation of each speed component of a new track
 TENTATIVE_MISSES = 1  # consecutive frames that an unconfirmed track may miss
 STOPPED_SPEED_M_S = 1.5  # a slower track stands, with one mode of motion
 TRUST_S = 1.2  # time constant of a track's mean likelihood ratio
@@ -22,62 +20,6 @@ MISSED_NAT = -3.0  # likelihood ratio of a frame without a detection
 DUPLICATE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
 _ROUNDING = 1e-9
 APART_M = 4.0  # a first detection farther from every confirmed track is of another vehicle
-
-
-@dataclass(frozen=True)
-class InitiationRules:
-    """Rules of confirmation and deletion.
-
-    Parameters
-    ----------
-    hits, window
-        A track is confirmed when it was measured in so many of its last frames. If more frames than the
-        window fit into the minimum age, the same share is required of them.
-    age_s, travel_m, speed_m_s
-        Minimum age, distance from the first position, and speed of a confirmed track: what creeps is
-        parallax. [s, m, m s⁻¹]
-    detection_ratio
-        Log-likelihood ratio of a single detection that confirms a track: for detectors that decide by
-        several frames. [nat]
-    tentative_s
-        Time that an unconfirmed track may miss, if longer than `TENTATIVE_MISSES`. [s]
-    stopped_coast_s
-        Time for which a confirmed track coasts while it stands. [s]
-    quality_s
-        Time for which a track must be measured to coast for the full time. A track measured for a share of it
-        coasts for that share. [s]
-    """
-
-    hits: int = 3
-    window: int = 5
-    age_s: float = 1.0
-    travel_m: float = 8.0
-    speed_m_s: float = 2.5
-    detection_ratio: float = 1000.0
-    tentative_s: float = 0.5
-    stopped_coast_s: float = 20.0
-    quality_s: float = 2.5
-
-
-RULES: Mapping[str, InitiationRules] = {
-    "change": InitiationRules(),
-    "existence": InitiationRules(hits=2, age_s=0.0, travel_m=1.0, speed_m_s=0.5, detection_ratio=-2.0),
-    "rectified": InitiationRules(quality_s=1.5),
-    "frames": InitiationRules(
-        hits=2,
-        window=4,
-        age_s=0.0,
-        travel_m=3.0,
-        speed_m_s=1.5,
-        detection_ratio=4.0,
-        tentative_s=0.9,
-        stopped_coast_s=1.7,
-        quality_s=1.5,
-    ),
-    "detections": InitiationRules(
-        age_s=0.5, travel_m=0.0, speed_m_s=0.0, stopped_coast_s=30.0, quality_s=3.0
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -164,14 +106,14 @@ def no_targets(design: TrackDesign, features: int) -> Targets:
 
 def confirmation(rules: InitiationRules, interval_s: float) -> tuple[int, int]:
     """M and N of the confirmation at a frame interval. [s]"""
-    fit = int(rules.age_s / interval_s + 1e-6) + 1 if interval_s > 0 else 1
-    window = min(max(rules.window, fit), 32)
-    return math.ceil(rules.hits / rules.window * window - 1e-9), window
+    fit = int(rules.confirm_min_age_s / interval_s + 1e-6) + 1 if interval_s > 0 else 1
+    window = min(max(rules.confirm_window, fit), 32)
+    return math.ceil(rules.confirm_hits / rules.confirm_window * window - 1e-9), window
 
 
 def prune(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
     """Delete lost targets, those off the grid, and weaker duplicates of another."""
-    tentative_s = RULES[design.initiation.rules].tentative_s
+    tentative_s = design.initiation.in_use.tentative_coast_s
     tentative = (targets.misses <= TENTATIVE_MISSES) | (targets.unseen_s <= tentative_s + _ROUNDING)
     alive = np.where(targets.confirmed, targets.quality > -_ROUNDING, tentative)
     (rows, columns), (row, column) = grid.shape, grid.pixel_of(targets.position)
@@ -215,11 +157,7 @@ def update_status(
     feature, spectra
         Mean feature of each target and its number of spectra, after this epoch.
     """
-    rules, ratio, interval_s = (
-        RULES[design.initiation.rules],
-        seen.found.log_likelihood_ratio,
-        seen.interval_s,
-    )
+    rules, ratio, interval_s = design.initiation.in_use, seen.found.log_likelihood_ratio, seen.interval_s
     hits, window = confirmation(rules, interval_s)
     hit, age_s, trust = assigned >= 0, targets.age_s + interval_s, targets.trust
     history = ((targets.history << 1) | hit) & ((1 << window) - 1)
@@ -227,10 +165,10 @@ def update_status(
     confirmed = targets.confirmed | (
         hit
         & (np.bitwise_count(history) >= hits)
-        & (age_s >= rules.age_s - _ROUNDING)
+        & (age_s >= rules.confirm_min_age_s - _ROUNDING)
         & (targets.score >= design.initiation.confirm_score)
-        & (np.hypot(*(targets.position - targets.born).T) >= rules.travel_m)
-        & (speed >= rules.speed_m_s)
+        & (np.hypot(*(targets.position - targets.born).T) >= rules.confirm_travel_m)
+        & (speed >= rules.confirm_speed_m_s)
     )
     if ratio is not None:
         trust = trust - math.expm1(-interval_s / TRUST_S) * (np.append(ratio, MISSED_NAT)[assigned] - trust)
@@ -247,7 +185,7 @@ def update_status(
         stands / max(rules.stopped_coast_s, 1e-9) + (1 - stands) / max(design.initiation.coast_s, 1e-9)
     )
     quality = np.where(
-        hit, np.minimum(targets.quality + interval_s / rules.quality_s, 1.0), targets.quality - drain
+        hit, np.minimum(targets.quality + interval_s / rules.coast_ramp_s, 1.0), targets.quality - drain
     )
     return replace(
         targets, history=history, confirmed=confirmed, age_s=age_s, frames_since_query=frames_since_query,
@@ -277,10 +215,10 @@ def initiate(design, found, spectral, index, next_id, roads=None, apart_from=Non
     """Start a target for each of the detections at an index; confirm it only if apart from other targets."""
     n, place, ratio = len(index), found.position[index], found.log_likelihood_ratio
     velocity = None if found.velocity is None or found.velocity_share < 1 else found.velocity[index]
-    sigma_m_s = SPEED_SIGMA_M_S if velocity is None else found.velocity_sigma_m_s
+    sigma_m_s = design.initiation.speed_sigma_m_s if velocity is None else found.velocity_sigma_m_s
     speed = np.repeat(sigma_m_s**2 * np.eye(2)[None], n, axis=0)
     if roads is not None and velocity is None:
-        speed = roads.speed_covariance(place, SPEED_SIGMA_M_S)
+        speed = roads.speed_covariance(place, sigma_m_s)
     ratio = None if ratio is None else ratio[index]
     modes = initial_modes(place, found.covariance[index], speed, design.motion.modes, velocity)
     mean, covariance = combine_modes(modes)
@@ -296,7 +234,7 @@ def initiate(design, found, spectral, index, next_id, roads=None, apart_from=Non
     )  # fmt: skip
     if ratio is None:
         return new
-    sure = ratio >= RULES[design.initiation.rules].detection_ratio
+    sure = ratio >= design.initiation.in_use.confirm_ratio
     if apart_from is not None and apart_from.confirmed.any():
         sure &= KDTree(apart_from.position[apart_from.confirmed]).query(place)[0] >= APART_M
     return replace(new, confirmed=sure)

@@ -23,7 +23,7 @@ TURN_S, STOP_S = 3.0, 10.0  # mean time of a turn, and of a stop
 TURN_RATE_RAD_S = math.radians(20.0)
 # standard deviation of the speed components from which a vehicle may stand at the next frame: this plus its
 # braking until then
-STOPPING_SPEED_M_S, BRAKING_M_S2 = 1.0, 3.0
+STOPPING_SPEED_M_S = 1.0
 START_SPEED_M_S = 1.5  # standard deviation of each speed component of a vehicle that drives off
 COAST_DAMPING_S = 3.0  # time in which the speed of a coasting track decays, with one mode
 MAX_COAST_SIGMA_M = 20.0  # standard deviation of a position beyond which coasting lets it grow no more
@@ -96,11 +96,12 @@ def motion_model(design: TrackDesign, interval_s: float) -> Motion:
     # where a vehicle goes that leaves its mode: straight, left, right, stopped
     share = np.array([[0, 0.3, 0.3, 0.4], [0.8, 0, 0, 0.2], [0.8, 0, 0, 0.2], [0.8, 0.1, 0.1, 0]])
     found = [design.association.detection_probability] * 3 + [design.motion.stopped_detection_probability]
+    stopping_m_s = STOPPING_SPEED_M_S + design.motion.braking_m_s2 * dt
     return Motion(
         reach=np.stack([reach for reach, _ in arcs] + [np.zeros((2, 2))]),
         turn=np.stack([turn for _, turn in arcs] + [np.zeros((2, 2))]),
         noise=np.stack([noise] * 3 + [still]), transition=np.diag(1 - leave) + leave[:, None] * share,
-        detection=np.array(found), stopped=3, stopping2=(STOPPING_SPEED_M_S + BRAKING_M_S2 * dt) ** 2,
+        detection=np.array(found), stopped=3, stopping2=stopping_m_s**2,
     )  # fmt: skip
 
 

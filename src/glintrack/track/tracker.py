@@ -5,6 +5,7 @@ ratio and M of N. Detections are assigned one to one at least cost. The tracker 
 """
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -187,6 +188,12 @@ def _step(
     found, grid, leaves = seen.found, seen.grid, state.leaves
     design = state.design.effective(found.log_likelihood_ratio is not None)
     uses_existence = design.reporting.uses_existence
+    if len(found) and state.design.reporting.uses_existence and not uses_existence:
+        warnings.warn(  # once, by Python's own filter
+            "detections have no log-likelihood ratio, which `track.reporting.method` = 'existence' needs: "
+            "tracks are reported by 'confirmation'",
+            stacklevel=2,
+        )
     ground = ground[identity.ground_ratio(state.population, state.ground, ground) >= 0]  # no unknown vehicles
     none = np.zeros(len(ground))
     ground_population = identity.update_population(state.ground, ground, np.zeros_like(ground), none)
