@@ -71,10 +71,10 @@ def truth_of(ids: np.ndarray, states: np.ndarray) -> xr.Dataset:
     """Dataset of the schema ``truth``."""
     none = np.zeros(len(ids))
     columns = {
-        "east": (states[:, 0], "m"), "north": (states[:, 1], "m"), "up": (none, "m"),
-        "east_speed": (states[:, 3], "m s-1"), "north_speed": (states[:, 4], "m s-1"),
-        "heading": (states[:, 2], "rad"), "length": (none + 4.5, "m"), "width": (none + 1.8, "m"),
-        "height": (none + 1.5, "m"),
+        "east_m": (states[:, 0], "m"), "north_m": (states[:, 1], "m"), "up_m": (none, "m"),
+        "east_speed_m_s": (states[:, 3], "m s-1"), "north_speed_m_s": (states[:, 4], "m s-1"),
+        "heading_rad": (states[:, 2], "rad"), "length_m": (none + 4.5, "m"), "width_m": (none + 1.8, "m"),
+        "height_m": (none + 1.5, "m"),
     }  # fmt: skip
     return xr.Dataset(
         {k: ("vehicle", np.asarray(v, float), {"units": u}) for k, (v, u) in columns.items()},
@@ -87,8 +87,8 @@ def tracks_of(ids: np.ndarray, points: np.ndarray) -> xr.Dataset:
     points = np.asarray(points, float).reshape(-1, 2)
     none = np.zeros(len(points))
     columns = {
-        "east": (points[:, 0], "m"), "north": (points[:, 1], "m"), "east_speed": (none, "m s-1"),
-        "north_speed": (none, "m s-1"), "east_var": (none + 1, "m2"), "north_var": (none + 1, "m2"),
+        "east_m": (points[:, 0], "m"), "north_m": (points[:, 1], "m"), "east_speed_m_s": (none, "m s-1"),
+        "north_speed_m_s": (none, "m s-1"), "east_var_m2": (none + 1, "m2"), "north_var_m2": (none + 1, "m2"),
         "coasted": (none, "1"),
     }  # fmt: skip
     return xr.Dataset(
@@ -131,7 +131,7 @@ def ours(
 def report_positions(state: track.TrackerState) -> tuple[np.ndarray, np.ndarray]:
     """Ids and positions of the tracks that the tracker reports."""
     tracks = track.report(state)
-    return tracks["track"].values, np.stack([tracks["east"].values, tracks["north"].values], axis=-1)
+    return tracks["track"].values, np.stack([tracks["east_m"].values, tracks["north_m"].values], axis=-1)
 
 
 def sort_style(epochs: Epochs, measured: list[np.ndarray]) -> tuple[Reports, list[float]]:

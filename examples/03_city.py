@@ -35,8 +35,8 @@ now = city.at(30.0)
 print(f"{len(city.static.faces):,} triangles of ground, streets and buildings")
 print(f"{now.fixed:,} trees, hedges and parked vehicles, stored once a model and placed")
 truth = city.truth(30.0)
-speed = np.hypot(truth["east_speed"], truth["north_speed"])
-inside = ((abs(truth["east"]) < 330) & (abs(truth["north"]) < 210)).values
+speed = np.hypot(truth["east_speed_m_s"], truth["north_speed_m_s"])
+inside = ((abs(truth["east_m"]) < 330) & (abs(truth["north_m"]) < 210)).values
 print(
     f"{inside.sum()} vehicles in the window, {(inside & (speed > 1.0)).values.sum()} of them moving at 30 s"
 )
@@ -60,8 +60,8 @@ for lane in city.lanes:
     axis.plot(*lane.T, color="0.85", linewidth=2, zorder=1)
 for t in np.arange(20.0, 40.0, 1.0):
     at = city.truth(t)
-    fast = np.hypot(at["east_speed"], at["north_speed"])
-    dots = axis.scatter(at["east"], at["north"], s=3, c=fast, cmap="viridis", vmin=0, vmax=14, zorder=2)
+    fast = np.hypot(at["east_speed_m_s"], at["north_speed_m_s"])
+    dots = axis.scatter(at["east_m"], at["north_m"], s=3, c=fast, cmap="viridis", vmin=0, vmax=14, zorder=2)
 west, south, east, north = city.extent_m
 axis.set(
     title="Vehicles of the embedded city over 20 s, each second",
@@ -101,7 +101,7 @@ for axis, (trees, pan) in zip(axes, pictures.items(), strict=True):
     figure.colorbar(scale, ax=axis, shrink=0.8, label="radiance [W m⁻² sr⁻¹ µm⁻¹]")
 moving = city.truth(30.0).isel(vehicle=np.flatnonzero(speed > 1.0))
 axes[0].scatter(
-    moving["east"], moving["north"], s=60, facecolors="none", edgecolors="#ffb000", linewidths=0.8
+    moving["east_m"], moving["north_m"], s=60, facecolors="none", edgecolors="#ffb000", linewidths=0.8
 )
 plt.show()
 

@@ -184,15 +184,15 @@ class ThreeCars:
     def truth(self, t):
         place, speed = self.position(t)
         columns = {
-            "east": (place[:, 0], "m"),
-            "north": (place[:, 1], "m"),
-            "up": (np.zeros(3), "m"),
-            "east_speed": (speed[:, 0], "m s-1"),
-            "north_speed": (speed[:, 1], "m s-1"),
-            "heading": (self.headings, "rad"),
-            "length": (np.full(3, 4.5), "m"),
-            "width": (np.full(3, 1.8), "m"),
-            "height": (np.full(3, 1.5), "m"),
+            "east_m": (place[:, 0], "m"),
+            "north_m": (place[:, 1], "m"),
+            "up_m": (np.zeros(3), "m"),
+            "east_speed_m_s": (speed[:, 0], "m s-1"),
+            "north_speed_m_s": (speed[:, 1], "m s-1"),
+            "heading_rad": (self.headings, "rad"),
+            "length_m": (np.full(3, 4.5), "m"),
+            "width_m": (np.full(3, 1.8), "m"),
+            "height_m": (np.full(3, 1.5), "m"),
         }
         return xr.Dataset(
             {name: ("vehicle", values, {"units": units}) for name, (values, units) in columns.items()},

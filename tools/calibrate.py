@@ -135,11 +135,11 @@ def label_peaks(seen: SearchedMosaic, pose, truth, extent_m) -> Peaks:
     """Label the peaks of a frame by the truth."""
     if len(seen.peaks) == 0:
         return Peaks(seen.peaks.features, np.empty(0), np.empty((0, 2)))
-    vehicle_m = np.stack([truth["east"].values, truth["north"].values], axis=-1)
+    vehicle_m = np.stack([truth["east_m"].values, truth["north_m"].values], axis=-1)
     wanted = np.asarray(
         metrics.is_in_window(truth, extent_m) & metrics.is_moving(truth) & metrics.is_visible(truth)
     )
-    reach_m = np.maximum(4.0, truth["length"].values / 2 + 1)
+    reach_m = np.maximum(4.0, truth["length_m"].values / 2 + 1)
     off_m = pose.position[:2] - seen.place_m
     slope = np.hypot(*off_m.T) / pose.up_m
     toward = off_m / np.hypot(*off_m.T)[:, None]

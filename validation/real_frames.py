@@ -95,7 +95,7 @@ def track_places(scene: Sequence, method) -> list[np.ndarray]:
         rows = as_rows(reports)
     if "time_s" not in rows:
         return [np.empty((0, 2))] * len(scene.times_s)
-    here = np.stack([rows["east"].values, rows["north"].values], axis=-1)
+    here = np.stack([rows["east_m"].values, rows["north_m"].values], axis=-1)
     return [here[np.isclose(rows["time_s"].values, t)] for t in scene.times_s]
 
 

@@ -47,9 +47,9 @@ def as_tracks(tracks, before, step_s):
     place = np.array([tracks[n] for n in names]).reshape(-1, 2)
     last = np.array([before.get(n, tracks[n]) for n in names]).reshape(-1, 2)
     speed = (place - last) / step_s
-    columns = {"east": (place[:, 0], "m"), "north": (place[:, 1], "m")}
-    columns |= {"east_speed": (speed[:, 0], "m s-1"), "north_speed": (speed[:, 1], "m s-1")}
-    columns |= {"east_var": (np.ones(len(names)), "m2"), "north_var": (np.ones(len(names)), "m2")}
+    columns = {"east_m": (place[:, 0], "m"), "north_m": (place[:, 1], "m")}
+    columns |= {"east_speed_m_s": (speed[:, 0], "m s-1"), "north_speed_m_s": (speed[:, 1], "m s-1")}
+    columns |= {"east_var_m2": (np.ones(len(names)), "m2"), "north_var_m2": (np.ones(len(names)), "m2")}
     columns |= {"coasted": (np.zeros(len(names)), "1")}
     data = {name: ("track", values, {"units": units}) for name, (values, units) in columns.items()}
     return xr.Dataset(data, coords={"track": np.array(names, dtype=int)})

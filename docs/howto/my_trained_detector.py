@@ -24,7 +24,7 @@ def frames_of(name):
     pan = np.concatenate([part["pan"].values for part in parts])
     dolp = np.concatenate([part["dolp"].values for part in parts])
     times_s = np.concatenate([part["time_s"].values for part in parts])
-    return pan, dolp, times_s, parts[0]["east"].values, parts[0]["north"].values
+    return pan, dolp, times_s, parts[0]["east_m"].values, parts[0]["north_m"].values
 
 
 def features_of(pan, dolp):

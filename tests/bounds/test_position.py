@@ -122,7 +122,7 @@ def test_detections_where_nothing_drives_are_all_false():
     nothing = np.empty((0, 2))
     bare = FrameTruth(0.0, np.zeros(2), 1e4, *(np.empty(0, int), nothing), *[np.empty(0)] * 2,
                     np.empty(0, bool), np.empty(0))  # fmt: skip
-    tracks = xr.Dataset({"east": ("track", []), "north": ("track", [])}, coords={"track": []})
+    tracks = xr.Dataset({"east_m": ("track", []), "north_m": ("track", [])}, coords={"track": []})
     made = FrameTracking.of(bare, np.array([[1.0, 2.0], [3.0, 4.0]]), tracks)
     assert len(made.found) == len(made.offset) == 0 and len(made.false) == 2
 

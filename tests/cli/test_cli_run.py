@@ -72,9 +72,9 @@ def test_where_output_is_a_file_each_tenth_is_a_line():
 def one_car(frames):
     """A car that drives east; half of its frames are told with a track on it."""
     time_s = np.arange(float(frames))
-    car = {"time_s": time_s, "vehicle_id": np.zeros(frames), "east": 10 * time_s, "north": 0 * time_s,
-           "east_speed": np.full(frames, 10.0), "north_speed": np.zeros(frames)}  # fmt: skip
-    track = {name: car[name][::2] for name in ("time_s", "east", "north")}
+    car = {"time_s": time_s, "vehicle_id": np.zeros(frames), "east_m": 10 * time_s, "north_m": 0 * time_s,
+           "east_speed_m_s": np.full(frames, 10.0), "north_speed_m_s": np.zeros(frames)}  # fmt: skip
+    track = {name: car[name][::2] for name in ("time_s", "east_m", "north_m")}
     tables = {"/truth": car, "/pan/tracks": track | {"track_id": np.ones(len(track["time_s"]))}}
     return xr.DataTree.from_dict(
         {path: xr.Dataset({k: ("row", v) for k, v in table.items()}) for path, table in tables.items()}

@@ -140,7 +140,7 @@ def test_integers_are_numbers():
 
 
 def test_faults_are_one_sentence():
-    for broken in (example("tracks").drop_vars("east"), example("tracks").rename(track="object")):
+    for broken in (example("tracks").drop_vars("east_m"), example("tracks").rename(track="object")):
         with pytest.raises(ValueError, match=" must ") as caught:
             check(broken, "tracks")
         assert (

@@ -26,8 +26,15 @@ PLACE = TrackGeoreference("EPSG:32632", ORIGIN_M, (-100.0, 50.0), 0.5, (0.0, 0.5
 @pytest.fixture
 def rows():
     """One vehicle driving east over two frames, and one seen once."""
-    places = {"east": [-10.0, 0.0, 20.0], "north": [20.0, 20.0, -5.0]}
-    other = ("east_speed", "north_speed", "east_var", "north_var", "east_north_cov", "coasted")
+    places = {"east_m": [-10.0, 0.0, 20.0], "north_m": [20.0, 20.0, -5.0]}
+    other = (
+        "east_speed_m_s",
+        "north_speed_m_s",
+        "east_var_m2",
+        "north_var_m2",
+        "east_north_cov_m2",
+        "coasted",
+    )
     ids = {"time_s": [0.0, 0.5, 0.5], "vehicle_id": [0, 0, 7], "track_id": [0, 0, 7]}
     columns = ids | places | {key: [1.0, 1.0, 1.0] for key in other}
     return xr.Dataset({name: ("row", values) for name, values in columns.items()})
@@ -106,8 +113,8 @@ def mot_lines(path):
 def test_mot_tracks_lie_on_the_truths_boxes(tmp_path):
     """Of a perfect track, whose vehicle is as large as a track's box, both files say the same; frames too."""
     columns = {"time_s": [0.5, 1.5], "track_id": [3, 3], "vehicle_id": [3, 3]}
-    columns |= {"east": [-10.0, 4.0], "north": [20.0, 20.0], "heading": [0.0, np.pi / 2]}
-    columns |= {"length": [BOX_M] * 2, "width": [BOX_M] * 2, "visible_fraction": [1.0, 1.0]}
+    columns |= {"east_m": [-10.0, 4.0], "north_m": [20.0, 20.0], "heading_rad": [0.0, np.pi / 2]}
+    columns |= {"length_m": [BOX_M] * 2, "width_m": [BOX_M] * 2, "visible_fraction": [1.0, 1.0]}
     rows = xr.Dataset({name: ("row", values) for name, values in columns.items()})
     place = TrackGeoreference(north_west_m=(-100.0, 50.0), cell_m=0.5, times_s=(0.0, 0.5, 1.0, 1.5))
     write_mot_truth(tmp_path / "gt.txt", rows, AREA_M, place)

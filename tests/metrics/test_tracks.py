@@ -23,12 +23,12 @@ def tracks(*rows):
     ids = [row[0] for row in rows]
     zero = np.zeros(len(rows))
     columns = {
-        "east": ([r[1] for r in rows], "m"),
-        "north": ([r[2] for r in rows], "m"),
-        "east_speed": (zero, "m s-1"),
-        "north_speed": (zero, "m s-1"),
-        "east_var": (zero + 1, "m2"),
-        "north_var": (zero + 1, "m2"),
+        "east_m": ([r[1] for r in rows], "m"),
+        "north_m": ([r[2] for r in rows], "m"),
+        "east_speed_m_s": (zero, "m s-1"),
+        "north_speed_m_s": (zero, "m s-1"),
+        "east_var_m2": (zero + 1, "m2"),
+        "north_var_m2": (zero + 1, "m2"),
         "coasted": ([r[3] for r in rows], "1"),
     }
     return xr.Dataset(
@@ -41,15 +41,15 @@ def truth(*rows, visible=None):
     """Dataset of vehicles from (id, east, north, speed)."""
     zero = np.zeros(len(rows))
     columns = {
-        "east": ([r[1] for r in rows], "m"),
-        "north": ([r[2] for r in rows], "m"),
-        "up": (zero, "m"),
-        "east_speed": ([r[3] for r in rows], "m s-1"),
-        "north_speed": (zero, "m s-1"),
-        "heading": (zero, "rad"),
-        "length": (zero + 4.5, "m"),
-        "width": (zero + 1.8, "m"),
-        "height": (zero + 1.5, "m"),
+        "east_m": ([r[1] for r in rows], "m"),
+        "north_m": ([r[2] for r in rows], "m"),
+        "up_m": (zero, "m"),
+        "east_speed_m_s": ([r[3] for r in rows], "m s-1"),
+        "north_speed_m_s": (zero, "m s-1"),
+        "heading_rad": (zero, "rad"),
+        "length_m": (zero + 4.5, "m"),
+        "width_m": (zero + 1.8, "m"),
+        "height_m": (zero + 1.5, "m"),
     }
     if visible is not None:
         columns["visible_fraction"] = (visible, "1")
@@ -243,7 +243,7 @@ def test_errors_name_what_came():
     with pytest.raises(ValueError, match="`track` must hold each id once, got 1 repeated"):
         score(tracks((7, 0, 0), (7, 1, 0)), good)
     with pytest.raises(ValueError, match=r"`truth.east` must be present"):
-        score(tracks(), good.drop_vars("east"))
+        score(tracks(), good.drop_vars("east_m"))
     with pytest.raises(ValueError, match="`over` must be"):
         score(tracks(), good).completeness("some")
 

@@ -47,10 +47,10 @@ def rows(ids, places, **columns):
     y = np.tile(places[:, 1], len(TIMES_S))
     values = {
         "time_s": t,
-        "east": x,
-        "north": y,
-        "east_speed": np.full(len(t), SPEED_M_S),
-        "north_speed": np.zeros(len(t)),
+        "east_m": x,
+        "north_m": y,
+        "east_speed_m_s": np.full(len(t), SPEED_M_S),
+        "north_speed_m_s": np.zeros(len(t)),
         **columns,
     }
     return xr.Dataset({k: ("row", np.asarray(v)) for k, v in values.items()})
@@ -82,8 +82,8 @@ def tree(name="small"):
             "time_s": ("row", TIMES_S[2:]),
             "track_id": ("row", [4, 4, 7, -1]),
             "vehicle_id": ("row", [11, 11, 22, -1]),
-            "east": ("row", np.zeros(4)),
-            "north": ("row", np.zeros(4)),
+            "east_m": ("row", np.zeros(4)),
+            "north_m": ("row", np.zeros(4)),
             "radiance": (("row", "wavelength"), np.outer([1, 3, 5, 7], np.ones(7)).astype(np.float32)),
         },
         coords={"wavelength": WAVELENGTH_UM},

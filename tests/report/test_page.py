@@ -231,7 +231,7 @@ def test_a_minute_at_ten_hertz_stays_small(tmp_path, monkeypatch):
     flags = np.zeros(len(ids), int)
     tracks = table(250, track_id=ids, vehicle_id=ids, valid=flags, false=flags, coasted=flags)
     truth = table(600, vehicle_id=cars, visible_fraction=np.ones(len(cars)))
-    truth["east"] = truth["east"] % 40
+    truth["east_m"] = truth["east_m"] % 40
     tree = made.xr.DataTree.from_dict(
         {
             **{f"/{m}": made.xr.Dataset({"completeness": ("time", rng.uniform(0, 1, 600))}, {"time": times})
@@ -259,8 +259,8 @@ def queries(rng, times, each=125):
             "time_s": ("row", np.repeat(times, each)),
             "track_id": ("row", rng.integers(0, 2000, n)),
             "vehicle_id": ("row", rng.integers(0, 600, n)),
-            "east": ("row", rng.uniform(-30, 30, n)),
-            "north": ("row", rng.uniform(-30, 30, n)),
+            "east_m": ("row", rng.uniform(-30, 30, n)),
+            "north_m": ("row", rng.uniform(-30, 30, n)),
             "radiance": (("row", "wavelength"), rng.uniform(0, 100, (n, 60)).astype(np.float32)),
         },
         coords={"wavelength": np.linspace(0.4, 1.0, 60)},

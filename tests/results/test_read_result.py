@@ -85,7 +85,7 @@ def test_a_broken_part_is_a_note(folder, name, text, note):
 
 @pytest.mark.parametrize(
     ("table", "column"),
-    [("pan/tracks", "east"), ("truth", "north"), ("pan/queries", "radiance"), ("vehicles", "paint")],
+    [("pan/tracks", "east_m"), ("truth", "north_m"), ("pan/queries", "radiance"), ("vehicles", "paint")],
 )
 def test_a_table_without_a_column_is_left_out(folder, table, column):
     whole = glintrack.load_result(folder)

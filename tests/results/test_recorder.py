@@ -50,7 +50,7 @@ def test_a_flight_leaves_all_the_page_needs(flown):
     for k in np.flatnonzero(rows["vehicle_id"].values >= 0):
         mine = (cars["vehicle_id"] == rows["vehicle_id"][k]) & (cars["time_s"] == rows["time_s"][k])
         place = [
-            float(cars[name].values[mine.values][0] - rows[name].values[k]) for name in ("east", "north")
+            float(cars[name].values[mine.values][0] - rows[name].values[k]) for name in ("east_m", "north_m")
         ]
         assert np.hypot(*place) <= match_m
     found = loaded["pan/detections"].to_dataset(inherit=False)

@@ -23,8 +23,8 @@ def truth():
     ids = np.tile([0, 1, 2], len(TIMES_S))
     zero = np.zeros(len(t))
     columns = {
-        "time_s": t, "vehicle_id": ids, "east": -150 + SPEED_M_S * t, "north": np.array(LANES_M)[ids],
-        "east_speed": zero + SPEED_M_S, "north_speed": zero, "visible_fraction": zero + 1,
+        "time_s": t, "vehicle_id": ids, "east_m": -150 + SPEED_M_S * t, "north_m": np.array(LANES_M)[ids],
+        "east_speed_m_s": zero + SPEED_M_S, "north_speed_m_s": zero, "visible_fraction": zero + 1,
     }  # fmt: skip
     return xr.Dataset({name: ("row", values) for name, values in columns.items()})
 
@@ -37,7 +37,7 @@ def detections(clutter=0, missed=0.0, seed=0, judged=False):
     out = []
     for t in TIMES_S:
         mine = np.flatnonzero(cars["time_s"].values == t)
-        place = np.stack([cars["east"].values, cars["north"].values], axis=1)[mine]
+        place = np.stack([cars["east_m"].values, cars["north_m"].values], axis=1)[mine]
         place = place + 0.3 * rng.standard_normal(place.shape)
         false = rng.uniform(AREA_M[:2], AREA_M[2:], (clutter, 2))
         n, one = len(place) + clutter, 0.36 * np.eye(2)

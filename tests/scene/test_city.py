@@ -137,16 +137,16 @@ def test_truth_and_snapshot_agree_and_ids_are_stable(city):
         truth, snapshot = city.truth(time_s), city.at(time_s)
         moving = snapshot.transforms[snapshot.fixed :]
         np.testing.assert_array_equal(truth["vehicle"].values, snapshot.vehicle_id[snapshot.fixed :])
-        np.testing.assert_allclose(moving[:, 0, 3], truth["east"])
+        np.testing.assert_allclose(moving[:, 0, 3], truth["east_m"])
         along = np.cos(truth["pitch"].values)
-        np.testing.assert_allclose(moving[:, 0, 0], along * np.sin(truth["heading"]), atol=1e-12)
-        np.testing.assert_allclose(moving[:, 1, 0], along * np.cos(truth["heading"]), atol=1e-12)
+        np.testing.assert_allclose(moving[:, 0, 0], along * np.sin(truth["heading_rad"]), atol=1e-12)
+        np.testing.assert_allclose(moving[:, 1, 0], along * np.cos(truth["heading_rad"]), atol=1e-12)
         assert snapshot.models is city.models and snapshot.static is city.static
     one, later = city.truth(10.0), city.truth(10.1)
     both = np.intersect1d(one["vehicle"], later["vehicle"])
     assert both.size > 100
     moved = np.hypot(
-        *(later[n].sel(vehicle=both).values - one[n].sel(vehicle=both).values for n in ("east", "north"))
+        *(later[n].sel(vehicle=both).values - one[n].sel(vehicle=both).values for n in ("east_m", "north_m"))
     )
     assert moved.max() < 2.0  # no id jumps to another vehicle: 20 m/s is beyond the limit of 13.9 m/s
     first, second = city.at(10.0), city.at(10.1)
@@ -160,7 +160,7 @@ def test_truth_and_snapshot_agree_and_ids_are_stable(city):
 def test_velocity_is_the_change_of_position(city):
     before, now, after = (city.truth(t) for t in (19.9, 20.0, 20.1))
     same = np.intersect1d(np.intersect1d(before["vehicle"], now["vehicle"]), after["vehicle"])
-    for position, speed in (("east", "east_speed"), ("north", "north_speed")):
+    for position, speed in (("east_m", "east_speed_m_s"), ("north_m", "north_speed_m_s")):
         slope = (after[position].sel(vehicle=same) - before[position].sel(vehicle=same)) / 0.2
         braking_over_two_tenths = 1.0  # m/s: 5 m/s² within the 0.2 s spans compared
         assert np.abs(slope - now[speed].sel(vehicle=same)).max() < braking_over_two_tenths
@@ -168,9 +168,11 @@ def test_velocity_is_the_change_of_position(city):
 
 def test_moving_vehicles_head_where_they_go(city):
     truth = city.truth(30.0)
-    speed = np.hypot(truth["east_speed"], truth["north_speed"])
+    speed = np.hypot(truth["east_speed_m_s"], truth["north_speed_m_s"])
     fast = speed.values > 3
-    along = truth["east_speed"] * np.sin(truth["heading"]) + truth["north_speed"] * np.cos(truth["heading"])
+    along = truth["east_speed_m_s"] * np.sin(truth["heading_rad"]) + truth["north_speed_m_s"] * np.cos(
+        truth["heading_rad"]
+    )
     assert fast.sum() > 30
     assert (along / speed).values[fast].min() > np.cos(np.radians(20))  # turning and changing lanes
 
@@ -181,7 +183,7 @@ def test_vehicles_stand_on_the_carriageway_and_drive_on_the_right(city):
     shapely.prepare(streets.carriageway)
     for time_s in (0.0, 33.3, 66.6, 99.9):
         truth = city.truth(time_s)
-        on_road = shapely.contains_xy(streets.carriageway, truth["east"].values, truth["north"].values)
+        on_road = shapely.contains_xy(streets.carriageway, truth["east_m"].values, truth["north_m"].values)
         assert on_road.all()
     # right-hand traffic: a lane of the opposite direction lies to the left
     cars = network.of_kind("car")
@@ -208,9 +210,9 @@ def test_moving_vehicles_do_not_overlap_each_other(city):
 
 def footprints(truth):
     transforms = body_to_enu(
-        np.stack([truth["east"], truth["north"], truth["up"]], axis=1), truth["heading"].values
+        np.stack([truth["east_m"], truth["north_m"], truth["up_m"]], axis=1), truth["heading_rad"].values
     )
-    half = np.stack([truth["length"], truth["width"]], axis=1) / 2
+    half = np.stack([truth["length_m"], truth["width_m"]], axis=1) / 2
     signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
     local = half[:, None, :] * signs
     plan = np.einsum("kij,kcj->kci", transforms[:, :2, :2], local) + transforms[:, None, :2, 3]
@@ -251,7 +253,7 @@ def test_vehicle_heading_east_points_its_nose_east():
 def test_vehicles_far_outside_are_dropped(city):
     for time_s in (0.0, 60.0):
         truth = city.truth(time_s)
-        assert np.abs(truth["east"]).max() < 360 and np.abs(truth["north"]).max() < 240
+        assert np.abs(truth["east_m"]).max() < 360 and np.abs(truth["north_m"]).max() < 240
 
 
 def test_time_outside_the_recording_is_refused(city):

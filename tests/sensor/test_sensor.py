@@ -281,7 +281,7 @@ def test_refused_queries_keep_their_row_with_no_data():
     )
     np.testing.assert_array_equal(spectra["served"], [0, 1])
     np.testing.assert_array_equal(spectra["track_id"], [4, 9])
-    np.testing.assert_allclose(spectra["east"], [9e3, queries[1].east_m])
+    np.testing.assert_allclose(spectra["east_m"], [9e3, queries[1].east_m])
     assert np.isnan(spectra["radiance"][0]).all() and np.isnan(spectra["noise"][0]).all()
     assert np.isfinite(spectra["radiance"][1]).all()
 

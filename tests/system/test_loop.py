@@ -47,8 +47,8 @@ def test_spectra_at_once_are_of_what_was_seen_and_darken_nothing(three_cars):
     for epoch in watched[6:]:
         served = epoch.spectra.isel(query=epoch.spectra["track_id"].values >= 0)
         now = np.abs(truth["time_s"].values - epoch.time_s) < 1e-6
-        east = truth["east"].values[now] - served["east"].values[:, None]
-        north = truth["north"].values[now] - served["north"].values[:, None]
+        east = truth["east_m"].values[now] - served["east_m"].values[:, None]
+        north = truth["north_m"].values[now] - served["north_m"].values[:, None]
         half_a_car_m = 2.25
         assert np.hypot(east, north).min(axis=0).max() < half_a_car_m
         assert np.isfinite(served["radiance"].values).all()

@@ -31,9 +31,13 @@ def three_cars():
 
 def table(rows, ident):
     time_s, ids, east, north = map(np.array, zip(*rows, strict=True))
-    columns = {"time_s": time_s, ident: ids, "east": east, "north": north}
+    columns = {"time_s": time_s, ident: ids, "east_m": east, "north_m": north}
     if ident == "vehicle_id":
-        columns |= {"east_speed": 0 * east + 10, "north_speed": 0 * east, "visible_fraction": 0 * east + 1}
+        columns |= {
+            "east_speed_m_s": 0 * east + 10,
+            "north_speed_m_s": 0 * east,
+            "visible_fraction": 0 * east + 1,
+        }
     return xr.Dataset({name: ("row", values) for name, values in columns.items()})
 
 

@@ -70,15 +70,15 @@ def truth(ids, east, north, heading, speed, length=4.5):
     """Dataset of the schema ``truth``."""
     n = len(ids)
     columns = {
-        "east": (east, "m"),
-        "north": (north, "m"),
-        "up": (np.zeros(n), "m"),
-        "east_speed": (speed * np.sin(heading), "m s-1"),
-        "north_speed": (speed * np.cos(heading), "m s-1"),
-        "heading": (heading, "rad"),
-        "length": (np.full(n, length), "m"),
-        "width": (np.full(n, 1.8), "m"),
-        "height": (np.full(n, 1.5), "m"),
+        "east_m": (east, "m"),
+        "north_m": (north, "m"),
+        "up_m": (np.zeros(n), "m"),
+        "east_speed_m_s": (speed * np.sin(heading), "m s-1"),
+        "north_speed_m_s": (speed * np.cos(heading), "m s-1"),
+        "heading_rad": (heading, "rad"),
+        "length_m": (np.full(n, length), "m"),
+        "width_m": (np.full(n, 1.8), "m"),
+        "height_m": (np.full(n, 1.5), "m"),
     }
     return xr.Dataset(
         {k: ("vehicle", np.asarray(v, float), {"units": u}) for k, (v, u) in columns.items()},

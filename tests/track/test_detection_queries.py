@@ -126,7 +126,7 @@ def crossing(seed, query_at, policy="entropy"):
         state, queries = track.query_predictions(state, EVERY_COLUMN)
         tracks = track.report(state)
         if tracks.sizes["track"] == 2:
-            at = np.stack([tracks["east"].values, tracks["north"].values], axis=1)
+            at = np.stack([tracks["east_m"].values, tracks["north_m"].values], axis=1)
             mine = np.hypot(*(at[:, None] - place[None]).transpose(2, 0, 1)).argmin(axis=0)
             ids = tracks["track"].values[mine].tolist()
             if k == 14:

@@ -276,7 +276,7 @@ def test_two_ends_are_one_track_and_two_vehicles_are_two(gap_m, vehicles):
     assert len({tuple(one["track"].values.tolist()) for one in settled}) == 1
     if vehicles == 1:
         half_a_metre = 0.5
-        assert abs(float(settled[-1]["east"][0]) - 10.0 * INTERVAL_S * 13) < half_a_metre
+        assert abs(float(settled[-1]["east_m"][0]) - 10.0 * INTERVAL_S * 13) < half_a_metre
     assert state.targets.confirmed.sum() == 2
 
 

@@ -214,8 +214,8 @@ def spectra_of(radiance, position, served=None, noise=1e-3):
             "noise": (("query", "wavelength"), np.full(radiance.shape, noise), {"units": RADIANCE}),
             "served": ("query", np.ones(n) if served is None else served, {"units": "1"}),
             "track_id": ("query", np.full(n, -1.0), {"units": "1"}),
-            "east": ("query", position[:, 0], {"units": "m"}),
-            "north": ("query", position[:, 1], {"units": "m"}),
+            "east_m": ("query", position[:, 0], {"units": "m"}),
+            "north_m": ("query", position[:, 1], {"units": "m"}),
         },
         coords={"wavelength": ("wavelength", wavelength, {"units": "um"})},
     )

@@ -89,7 +89,7 @@ def test_a_gap_is_the_straight_line_between_both_measurements():
     before, again = states(found)[11], states(found)[14]
     ends = [one.targets.position[one.targets.id == ident][0] for one in (before, again)]
     place = then.sel(track=ident)
-    np.testing.assert_allclose([place["east"], place["north"]], ends[0] + 2 / 3 * (ends[1] - ends[0]))
+    np.testing.assert_allclose([place["east_m"], place["north_m"]], ends[0] + 2 / 3 * (ends[1] - ends[0]))
     assert float(place["coasted"]) == 1.0
 
 
@@ -101,7 +101,7 @@ def test_a_track_is_told_back_to_before_its_first_detection_and_no_farther():
     for k in range(first, born):
         one = told(found)[k]
         assert one.sizes["track"] == 1 and float(one["coasted"][0]) == 1.0
-        np.testing.assert_allclose([one["east"][0], one["north"][0]], [east(k), 0.0], atol=2.0)
+        np.testing.assert_allclose([one["east_m"][0], one["north_m"][0]], [east(k), 0.0], atol=2.0)
     live = next(k for k, one in enumerate(told(found, 0.0)) if one.sizes["track"])
     assert live >= born
 

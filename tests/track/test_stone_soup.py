@@ -50,8 +50,8 @@ def test_their_tracks_in_our_scores():
         for east in (10.0, 40.0)
     }
     dataset = stone_soup.from_tracks(tracks, 2.0, EPOCH)
-    assert sorted(dataset["east"].values) == [10.0, 40.0] and (dataset["north"].values == 1.0).all()
-    assert (dataset["east_speed"].values == 8.0).all() and (dataset["north_var"].values == 3.0).all()
+    assert sorted(dataset["east_m"].values) == [10.0, 40.0] and (dataset["north_m"].values == 1.0).all()
+    assert (dataset["east_speed_m_s"].values == 8.0).all() and (dataset["north_var_m2"].values == 3.0).all()
     assert (dataset["coasted"].values == 1.0).all()
     assert stone_soup.from_tracks(set(), 0.0, EPOCH).sizes["track"] == 0
 

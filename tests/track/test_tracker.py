@@ -168,7 +168,7 @@ def test_turned_frames_give_turned_tracks():
     straight, _ = follow(frames)
     turned, _ = follow([(t, np.ascontiguousarray(pan[::-1, ::-1]), v) for t, pan, v in frames])
     a, b = track.report(straight[-1]), track.report(turned[-1])
-    east, back = np.sort(a["east"].values), np.sort(-b["east"].values)
+    east, back = np.sort(a["east_m"].values), np.sort(-b["east_m"].values)
     tenth_of_a_superpixel_m = 0.15  # the registration reads every other row
     np.testing.assert_allclose(east, back, atol=tenth_of_a_superpixel_m)
 
@@ -185,7 +185,7 @@ def test_queries_are_for_the_next_frame():
         assert len(queries) == expected
         vehicles = frames[-1][2]
         for q in queries:
-            miss = np.hypot(vehicles["east"].values - q.east_m, vehicles["north"].values - q.north_m)
+            miss = np.hypot(vehicles["east_m"].values - q.east_m, vehicles["north_m"].values - q.north_m)
             assert miss.min() < 1.5  # a superpixel [m]
             assert q.track_id in track.report(state)["track"].values
 

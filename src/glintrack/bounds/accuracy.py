@@ -158,11 +158,11 @@ class FrameTruth:
             lens_m=pose.position[:2],
             area_m2=1e6 * metrics.window_km2(area_m),
             vehicle=truth["vehicle"].values,
-            place=np.stack([truth["east"].values, truth["north"].values], axis=1),
-            heading=truth["heading"].values,
+            place=np.stack([truth["east_m"].values, truth["north_m"].values], axis=1),
+            heading=truth["heading_rad"].values,
             visible=truth["visible_fraction"].values,
             counted=np.asarray(counted),
-            length=truth["length"].values,
+            length=truth["length_m"].values,
         )
 
 
@@ -201,7 +201,7 @@ class FrameTracking(NamedTuple):
             offset=np.einsum("nac,nc->na", _view_axes(truth.place[row], truth.lens_m), offset),
             false=detection[false],
             track=tracks["track"].values,
-            position=np.stack([tracks["east"].values, tracks["north"].values], axis=1),
+            position=np.stack([tracks["east_m"].values, tracks["north_m"].values], axis=1),
         )
 
 

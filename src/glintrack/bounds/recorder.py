@@ -78,7 +78,7 @@ class BudgetRecorder:
             with_positions = not self._measured % POSITIONS_EVERY
             self._measured += 1
             self._task.begin(partial(self._measure, frame, tuple(self._past), with_positions))
-        tall = frame.truth["vehicle"].values[frame.truth["height"].values > _TALL_M]
+        tall = frame.truth["vehicle"].values[frame.truth["height_m"].values > _TALL_M]
         sun = self.observer.sky.sun_direction
         occluded = traffic_mask(vehicles_on(frame.hits), tall, self.observer.camera, frame.true_pose, sun)
         self._past.append(
@@ -139,13 +139,13 @@ class BudgetRecorder:
         )
         if light.moved:
             one.information = position_information(group, light.moved, nearest, ids, self.sensor)
-        middle = np.stack([truth["east"].values, truth["north"].values], axis=1)
+        middle = np.stack([truth["east_m"].values, truth["north_m"].values], axis=1)
         order = np.argsort(truth["vehicle"].values, kind="stable")
         mine = order[np.searchsorted(truth["vehicle"].values[order], ids)]
         for stage, (background, cells) in light.backgrounds.items():
             planes = group_planes(group, light.measured, background, self.sensor)
             found = find_vehicles(planes, cells, area_m, self.observer.sky.sun_direction)
-            scored = score_detections(found.position, found.score, middle, truth["length"].values)
+            scored = score_detections(found.position, found.score, middle, truth["length_m"].values)
             one.scored[stage] = scored._replace(vehicle=scored.vehicle[mine])
         return one
 
@@ -199,8 +199,8 @@ class BudgetRecorder:
         city, truth = self.observer.city, frame.truth
         movers = metrics.is_moving(truth) & metrics.is_in_window(truth, city.extent_m)
         visible = movers & metrics.is_visible(truth)
-        middle = np.stack([truth[name].values for name in ("east", "north", "up")], axis=1)
-        middle[:, 2] += truth["height"].values / 2
+        middle = np.stack([truth[name].values for name in ("east_m", "north_m", "up_m")], axis=1)
+        middle[:, 2] += truth["height_m"].values / 2
         camera = self.observer.camera
         pixel = project(camera, frame.true_pose, middle)
         with np.errstate(invalid="ignore"):
@@ -209,8 +209,8 @@ class BudgetRecorder:
         paints = dict(zip(snapshot.vehicle_id.tolist(), snapshot.paint.tolist(), strict=True))
         rows = {
             "vehicle_id": ids,
-            "length": truth["length"].values[visible],
-            "speed": np.hypot(truth["east_speed"].values, truth["north_speed"].values)[visible],
+            "length": truth["length_m"].values[visible],
+            "speed": np.hypot(truth["east_speed_m_s"].values, truth["north_speed_m_s"].values)[visible],
             "visible_fraction": truth["visible_fraction"].values[visible],
             "sunlit": _sunlit(frame.hits, ids),
             "paint": np.array([str(names[paints[i]]) if i in paints else "" for i in ids.tolist()], object),

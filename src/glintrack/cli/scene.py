@@ -206,7 +206,7 @@ def _describe(city: City, console: Console) -> None:
     west, south, east, north = city.extent_m
     middle = city.duration_s / 2
     truth = city.truth(middle)
-    moving = int((np.hypot(truth["east_speed"], truth["north_speed"]) > 0.5).sum())
+    moving = int((np.hypot(truth["east_speed_m_s"], truth["north_speed_m_s"]) > 0.5).sum())
     height = city.terrain["height"].values
     place = f"{degrees(city.latitude_deg, 'NS')}, {degrees(city.longitude_deg, 'EW')} ({city.crs})"
     rows = (

@@ -28,7 +28,7 @@ def _text(value: float) -> str:
 
 def _coordinate_hint(tracks: xr.Dataset, truth: xr.Dataset) -> str:
     """Sentence on how tracks and vehicles could be in different coordinates; empty if they are not."""
-    place, wanted = (np.stack([of["east"].values, of["north"].values], axis=1) for of in (tracks, truth))
+    place, wanted = (np.stack([of["east_m"].values, of["north_m"].values], axis=1) for of in (tracks, truth))
     low, high = wanted.min(axis=0), wanted.max(axis=0)
     room = 0.1 * (high - low) + 10.0
     tree = KDTree(np.column_stack([_M_PER_S * truth["time_s"].values, wanted]))

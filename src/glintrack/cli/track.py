@@ -163,7 +163,7 @@ def _write(
     """Write tracks and ROC curve into a new folder, and print how many tracks there are."""
     count = len(set(rows["track_id"].values.tolist())) if "track_id" in rows else 0
     if place.crs is not None and count:
-        east_m, north_m = (float(np.median(rows[axis].values)) for axis in ("east", "north"))
+        east_m, north_m = (float(np.median(rows[axis].values)) for axis in ("east_m", "north_m"))
         warn_off_map(metric_crs(place.crs), east_m, north_m)
     folder = atomic.ResultFolder(output)
     try:
@@ -178,7 +178,7 @@ def _write(
     path = folder.publish()
     over = f"{count} {'track' if count == 1 else 'tracks'} over {len(place.times_s)} epochs"
     if count:  # which shows coordinates that are in km
-        width_m, height_m = (float(np.ptp(rows[axis].values)) for axis in ("east", "north"))
+        width_m, height_m = (float(np.ptp(rows[axis].values)) for axis in ("east_m", "north_m"))
         over += f" within {width_m:.3g} m × {height_m:.3g} m"
     console.print(f"wrote {path}: {over} in {', '.join(names)}")
 

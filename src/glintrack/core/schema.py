@@ -70,15 +70,15 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
     },
     # scene -> simulate -> metrics; never to the tracker
     "truth": {
-        "east": Variable(("vehicle",), "m"),
-        "north": Variable(("vehicle",), "m"),
-        "up": Variable(("vehicle",), "m"),
-        "east_speed": Variable(("vehicle",), "m s-1"),
-        "north_speed": Variable(("vehicle",), "m s-1"),
-        "heading": Variable(("vehicle",), "rad"),
-        "length": Variable(("vehicle",), "m", 0),
-        "width": Variable(("vehicle",), "m", 0),
-        "height": Variable(("vehicle",), "m", 0),
+        "east_m": Variable(("vehicle",), "m"),
+        "north_m": Variable(("vehicle",), "m"),
+        "up_m": Variable(("vehicle",), "m"),
+        "east_speed_m_s": Variable(("vehicle",), "m s-1"),
+        "north_speed_m_s": Variable(("vehicle",), "m s-1"),
+        "heading_rad": Variable(("vehicle",), "rad"),
+        "length_m": Variable(("vehicle",), "m", 0),
+        "width_m": Variable(("vehicle",), "m", 0),
+        "height_m": Variable(("vehicle",), "m", 0),
     },
     # devices -> sensor
     "etalon": {"transmittance": Variable(("gap", "wavelength"), "1", 0, 1)},
@@ -93,8 +93,8 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
         "noise": Variable(("query", "wavelength"), RADIANCE, 0, nan_allowed=True),
         "served": Variable(("query",), "1", 0, 1),
         "track_id": Variable(("query",), "1"),
-        "east": Variable(("query",), "m"),
-        "north": Variable(("query",), "m"),
+        "east_m": Variable(("query",), "m"),
+        "north_m": Variable(("query",), "m"),
     },
     # ortho -> track: ground grid, y northing falling, x easting rising; Stokes in `meridian`
     "image": {
@@ -106,12 +106,12 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
     "terrain": {"height": Variable(("y", "x"), "m")},
     # track -> metrics
     "tracks": {
-        "east": Variable(("track",), "m"),
-        "north": Variable(("track",), "m"),
-        "east_speed": Variable(("track",), "m s-1"),
-        "north_speed": Variable(("track",), "m s-1"),
-        "east_var": Variable(("track",), "m2", 0),
-        "north_var": Variable(("track",), "m2", 0),
+        "east_m": Variable(("track",), "m"),
+        "north_m": Variable(("track",), "m"),
+        "east_speed_m_s": Variable(("track",), "m s-1"),
+        "north_speed_m_s": Variable(("track",), "m s-1"),
+        "east_var_m2": Variable(("track",), "m2", 0),
+        "north_var_m2": Variable(("track",), "m2", 0),
         "coasted": Variable(("track",), "1", 0, 1),
     },
 }

@@ -112,7 +112,7 @@ def _track(
         reports[line].extend(flush(pending[line]))
         rows = as_rows((one.attrs["time_s"], one) for one in reports[line])
         if not rows.sizes.get("row"):
-            names = ("time_s", "east", "north", "east_speed", "north_speed", "track_id")
+            names = ("time_s", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s", "track_id")
             rows = xr.Dataset({key: ("row", np.empty(0, int if "id" in key else float)) for key in names})
         found[line] = rows
     return found

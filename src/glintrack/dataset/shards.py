@@ -34,13 +34,11 @@ from glintrack.sensor import Sensor, frame_of, noiseless_frame, read_out
 NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 _MAX_COUNT = 65535
 BOX_COLUMNS = {**FRAME_COLUMNS, "speed_m_s": "speed"}
-TRUTH_COLUMNS = {
-    **{name: name for name in ("time_s", "vehicle_id")},
-    **{f"{name}_m": name for name in ("east", "north")},
-    **{f"{name}_m_s": name for name in ("east_speed", "north_speed")},
-    **{"heading_rad": "heading", "length_m": "length", "width_m": "width"},
-    "visible_fraction": "visible_fraction",
-}
+_TRUTH = (
+    "time_s", "vehicle_id", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s", "heading_rad",
+    "length_m", "width_m", "visible_fraction",
+)  # fmt: skip
+TRUTH_COLUMNS = dict(zip(_TRUTH, _TRUTH, strict=True))
 POSE = (
     *("east_m", "north_m", "up_m", "heading_rad", "roll_rad", "pitch_rad"),
     *("gimbal_azimuth_rad", "gimbal_depression_rad"),
@@ -142,7 +140,7 @@ def _readings_per_count(sensor: Sensor, shape: tuple[int, ...]) -> Float[Array, 
 def _boxes(imaged: SceneView, frame: int, time_s: float) -> xr.Dataset:
     """Rows of boxes with each vehicle's speed over ground, 0 for parked ones."""
     boxes, truth = vehicle_boxes(imaged), imaged.truth
-    speed = np.hypot(truth["east_speed"].values, truth["north_speed"].values)
+    speed = np.hypot(truth["east_speed_m_s"].values, truth["north_speed_m_s"].values)
     known = dict(zip(truth["vehicle"].values.tolist(), speed.tolist(), strict=True))
     speeds = np.array([known.get(int(i), 0.0) for i in boxes["vehicle"].values])
     boxes = boxes.assign(speed=("vehicle", speeds, {"units": "m s-1"}))

@@ -173,7 +173,11 @@ def _read_rows(path: Path, name: str, id_column: str) -> tuple[xr.Dataset, pd.Da
         )
     columns = {"time_s": time_s, id_column: ids.astype(np.int64)}
     columns |= dict(
-        zip(("east", "north", "east_speed", "north_speed"), (*position.T, *velocity.T), strict=True)
+        zip(
+            ("east_m", "north_m", "east_speed_m_s", "north_speed_m_s"),
+            (*position.T, *velocity.T),
+            strict=True,
+        )
     )
     return xr.Dataset({key: ("row", column) for key, column in columns.items()}), table
 

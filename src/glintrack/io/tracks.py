@@ -17,18 +17,11 @@ import xarray as xr
 from glintrack.io.atomic import write_bytes, write_text
 from glintrack.io.crs import longitude_latitude
 
-# column of the file -> variable of the rows; the column ``status`` follows
-TRACK_COLUMNS: Mapping[str, str] = {
-    "time_s": "time_s",
-    "track_id": "track_id",
-    "east_m": "east",
-    "north_m": "north",
-    "east_speed_m_s": "east_speed",
-    "north_speed_m_s": "north_speed",
-    "east_var_m2": "east_var",
-    "north_var_m2": "north_var",
-    "east_north_cov_m2": "east_north_cov",
-}
+# columns of the file and variables of the rows; the column ``status`` follows
+TRACK_COLUMNS = (
+    "time_s", "track_id", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s",
+    "east_var_m2", "north_var_m2", "east_north_cov_m2",
+)  # fmt: skip
 BOX_M = 5.0  # side of a track's box in MOTChallenge, about the length of a car
 _CAR = 3  # class of MOTChallenge
 
@@ -58,7 +51,7 @@ class TrackGeoreference:
 def track_table(rows: xr.Dataset) -> pd.DataFrame:
     """Table of tracks with `TRACK_COLUMNS` and ``status``: measured, coasted or tentative."""
     missing = np.full(rows.sizes.get("row", 0), np.nan)
-    columns = {c: np.asarray(rows[v].values) if v in rows else missing for c, v in TRACK_COLUMNS.items()}
+    columns = {c: np.asarray(rows[c].values) if c in rows else missing for c in TRACK_COLUMNS}
     table = pd.DataFrame(columns)
     table["track_id"] = table["track_id"].astype(np.int64)
     coasted = np.asarray(rows["coasted"].values) > 0 if "coasted" in rows else np.zeros(len(table), bool)
@@ -102,9 +95,8 @@ def write_tracks(folder: Path, rows: xr.Dataset, stem: str, place: TrackGeorefer
 
 def write_paths(path: Path, rows: xr.Dataset, place: TrackGeoreference) -> None:
     """Write paths of the truth's vehicles as GeoJSON lines in WGS 84 (RFC 7946), with their times."""
-    columns = {"time_s": "time_s", "vehicle_id": "vehicle_id", "east_m": "east", "north_m": "north"}
-    any_rows = rows.sizes.get("row")
-    table = pd.DataFrame({c: rows[v].values if any_rows else np.empty(0) for c, v in columns.items()})
+    any_rows, columns = rows.sizes.get("row"), ("time_s", "vehicle_id", "east_m", "north_m")
+    table = pd.DataFrame({name: rows[name].values if any_rows else np.empty(0) for name in columns})
     write_text(path, json.dumps(_feature_collection(table, place, "vehicle_id")))
 
 
@@ -128,10 +120,10 @@ def write_mot_truth(
     lines = []
     if rows.sizes.get("row"):
         west, south, east, north = area_m
-        sine, cosine = np.abs(np.sin(rows["heading"].values)), np.abs(np.cos(rows["heading"].values))
-        length, width = rows["length"].values, rows["width"].values
+        sine, cosine = np.abs(np.sin(rows["heading_rad"].values)), np.abs(np.cos(rows["heading_rad"].values))
+        length, width = rows["length_m"].values, rows["width_m"].values
         wide, high = length * sine + width * cosine, length * cosine + width * sine
-        x, y = rows["east"].values, rows["north"].values
+        x, y = rows["east_m"].values, rows["north_m"].values
         frames, boxes = _frames(rows["time_s"].values, place), _boxes(x, y, wide, high, place)
         ident, seen = rows["vehicle_id"].values, rows["visible_fraction"].values
         inside = (x >= west) & (x <= east) & (y >= south) & (y <= north)

@@ -29,13 +29,13 @@ Over = Literal["moving", "visible", "all"]
 
 def is_moving(truth: xr.Dataset, min_m_s: float = MOVING_SPEED_M_S) -> Bool[Array, "vehicle"]:
     """Return True for vehicles at least this fast."""
-    return np.hypot(truth["east_speed"].values, truth["north_speed"].values) >= min_m_s
+    return np.hypot(truth["east_speed_m_s"].values, truth["north_speed_m_s"].values) >= min_m_s
 
 
 def is_in_window(truth: xr.Dataset, area_m: AreaM) -> Bool[Array, "vehicle"]:
     """Return True for vehicles with their centre in (west, south, east, north), edges included."""
     west, south, east, north = area_m
-    x, y = truth["east"].values, truth["north"].values
+    x, y = truth["east_m"].values, truth["north_m"].values
     return (x >= west) & (x <= east) & (y >= south) & (y <= north)
 
 
@@ -45,7 +45,7 @@ def is_visible(truth: xr.Dataset, min_fraction: float = VISIBLE_FRACTION) -> Boo
     All are visible in a truth without the variable.
     """
     if "visible_fraction" not in truth:
-        return np.ones(truth["east"].shape, np.bool_)
+        return np.ones(truth["east_m"].shape, np.bool_)
     return truth["visible_fraction"].values >= min_fraction
 
 
@@ -310,4 +310,4 @@ def check_ids(ids: Int[Array, "id"], name: str) -> Int[Array, "id"]:
 
 def positions_of(dataset: xr.Dataset) -> Float[Array, "n 2"]:
     """East and north. [m]"""
-    return np.stack([dataset["east"].values, dataset["north"].values], axis=-1).astype(float)
+    return np.stack([dataset["east_m"].values, dataset["north_m"].values], axis=-1).astype(float)

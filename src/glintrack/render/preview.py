@@ -91,8 +91,8 @@ def _camera(city: City, view: View, columns: int, time_s: float) -> tuple[Camera
 def _behind_a_vehicle(city: City, middle: Array, time_s: float) -> Pose:
     """Pose behind the moving vehicle nearest to the middle; without one in the middle, toward the north."""
     truth = city.truth(time_s)
-    east, north, up, heading = (truth[name].values for name in ("east", "north", "up", "heading"))
-    speed = np.hypot(truth["east_speed"].values, truth["north_speed"].values)
+    east, north, up, heading = (truth[name].values for name in ("east_m", "north_m", "up_m", "heading_rad"))
+    speed = np.hypot(truth["east_speed_m_s"].values, truth["north_speed_m_s"].values)
     seen = up > _LOWEST_GROUND_M
     if not seen.any():
         return look_at(Pose(middle[0], middle[1], _EYE_UP_M), middle + [0.0, 40.0, 1.5])

@@ -183,8 +183,8 @@ def _track_rows(rows: xr.Dataset, times_s: Array, middle: tuple) -> dict:
         "vehicle": _integers(get["vehicle_id"]),
         "flags": encode(flags, "u1"),
         **_places(rows, middle),
-        "vx": encode(100 * rows["east_speed"].values, "i2"),
-        "vy": encode(100 * rows["north_speed"].values, "i2"),
+        "vx": encode(100 * rows["east_speed_m_s"].values, "i2"),
+        "vy": encode(100 * rows["north_speed_m_s"].values, "i2"),
     }
 
 
@@ -253,7 +253,7 @@ def _spectra(queries: xr.Dataset, times_s: Array, paints: dict[int, str]) -> dic
 
 def _places(rows: xr.Dataset, middle: tuple) -> dict:
     """Positions in decimetres."""
-    x, y = 10 * (rows["east"].values - middle[0]), 10 * (rows["north"].values - middle[1])
+    x, y = 10 * (rows["east_m"].values - middle[0]), 10 * (rows["north_m"].values - middle[1])
     return {"x": _integers(x), "y": _integers(y)}
 
 
@@ -276,7 +276,7 @@ def _extent(result: Result) -> Extent:
     truth = _dataset(result.tree, "truth")
     if not truth.sizes.get("row"):
         return Extent(-1.0, -1.0, 1.0, 1.0)
-    x, y = truth["east"].values, truth["north"].values
+    x, y = truth["east_m"].values, truth["north_m"].values
     return Extent(float(x.min()), float(y.min()), float(x.max()) + 1.0, float(y.max()) + 1.0)
 
 

@@ -140,8 +140,8 @@ class Composite:
     def _pixels(self, rows: xr.Dataset) -> Array:
         """Columns and rows of the positions of a table in a picture."""
         west, south, east, north = self.result.film["extent_m"]
-        x = (rows["east"].values - west) / (east - west) * self.size[0]
-        y = (north - rows["north"].values) / (north - south) * self.size[1]
+        x = (rows["east_m"].values - west) / (east - west) * self.size[0]
+        y = (north - rows["north_m"].values) / (north - south) * self.size[1]
         return np.stack([x, y], axis=1)
 
 

@@ -48,8 +48,8 @@ _CARD = """<div style="max-width:{{ side }}px"><strong>{{ result.name }}</strong
 {% endif %}{% if picture %}<img alt="tracks of {{ result.name }}" src="{{ picture }}" style="width:100%">
 {% endif %}<div>in <code>{{ result.path }}</code>; arrays: <code>.tree</code>, a page:
 <code>glintrack report</code></div></div>"""
-_PLACE = {"time_s", "east", "north"}
-_SPEED = {"east_speed", "north_speed"}
+_PLACE = {"time_s", "east_m", "north_m"}
+_SPEED = {"east_speed_m_s", "north_speed_m_s"}
 # required columns of a table, by the last part of its path
 _REQUIRED = {
     "tracks": _PLACE | _SPEED | {"track_id"},

@@ -137,11 +137,11 @@ class Recorder:
         position, covariance = join("position"), join("covariance")
         columns = {
             "time_s": (np.concatenate([np.full(len(one), at) for at, one in found]), "s"),
-            "east": (position[:, 0], "m"),
-            "north": (position[:, 1], "m"),
-            "east_var": (covariance[:, 0, 0], "m2"),
-            "north_var": (covariance[:, 1, 1], "m2"),
-            "east_north_cov": (covariance[:, 0, 1], "m2"),
+            "east_m": (position[:, 0], "m"),
+            "north_m": (position[:, 1], "m"),
+            "east_var_m2": (covariance[:, 0, 0], "m2"),
+            "north_var_m2": (covariance[:, 1, 1], "m2"),
+            "east_north_cov_m2": (covariance[:, 0, 1], "m2"),
             "extent": (join("extent"), "m"),
             "contrast": (join("contrast"), "1"),
         }
@@ -248,7 +248,7 @@ def _xyz(epoch: Epoch) -> tuple[Array, Array]:
 def _query_rows(epoch: Epoch) -> xr.Dataset:
     """Rows of one epoch's served queries: position, track, vehicle (−1: none), and spectrum."""
     served = epoch.spectra["served"].values.astype(bool)
-    names = ("track_id", "east", "north", "radiance")
+    names = ("track_id", "east_m", "north_m", "radiance")
     track, east, north, radiance = (epoch.spectra[name].values[served] for name in names)
     vehicle_of = dict(zip(epoch.score.track_ids.tolist(), epoch.score.matched_vehicle.tolist(), strict=True))
     on = np.array([vehicle_of.get(int(i), -1) for i in track], dtype=np.int64)
@@ -257,8 +257,8 @@ def _query_rows(epoch: Epoch) -> xr.Dataset:
             "time_s": ("row", np.full(len(track), epoch.time_s), {"units": "s"}),
             "track_id": ("row", track.astype(np.int64), {"units": "1"}),
             "vehicle_id": ("row", on, {"units": "1"}),
-            "east": ("row", east, {"units": "m"}),
-            "north": ("row", north, {"units": "m"}),
+            "east_m": ("row", east, {"units": "m"}),
+            "north_m": ("row", north, {"units": "m"}),
             "radiance": (("row", "wavelength"), radiance.astype(np.float32), {"units": RADIANCE}),
         },
         coords={"wavelength": epoch.spectra["wavelength"].variable},

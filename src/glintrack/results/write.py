@@ -35,26 +35,11 @@ from glintrack.results.verdict import CHANNEL_WORDS
 from glintrack.sensor import response_curves
 from glintrack.sensor.sensor import ETALON_STEPS
 
-# column of the file, with its unit -> variable; `glintrack score` reads the same names
-_MOTION = {
-    "east_m": "east",
-    "north_m": "north",
-    "east_speed_m_s": "east_speed",
-    "north_speed_m_s": "north_speed",
-}
-TRUTH_COLUMNS = {
-    "time_s": "time_s",
-    "vehicle_id": "vehicle_id",
-    **_MOTION,
-    "up_m": "up",
-    "heading_rad": "heading",
-    "length_m": "length",
-    "width_m": "width",
-    "height_m": "height",
-    "visible_fraction": "visible_fraction",
-    "inside": "inside",
-    "moving": "moving",
-}
+_TRUTH = (
+    "time_s", "vehicle_id", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s", "up_m", "heading_rad",
+    "length_m", "width_m", "height_m", "visible_fraction", "inside", "moving",
+)  # fmt: skip
+TRUTH_COLUMNS: dict[str, str] = dict(zip(_TRUTH, _TRUTH, strict=True))
 _SCORES = (
     "time_s", "completeness", "completeness_visible", "purity", "held_per_km2", "false_tracks",
     "false_per_km2", "should", "valid", "queries_asked", "queries_served", "exposure_ms",

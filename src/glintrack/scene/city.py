@@ -162,16 +162,16 @@ class City:
         length, width, height = self.traffic.dimensions[ids].T
         west, south, east, north = self.extent_m
         columns = {
-            "east": (x, "m"),
-            "north": (y, "m"),
-            "up": (height_at(self.terrain, x, y), "m"),
-            "east_speed": (speed[0], "m s-1"),
-            "north_speed": (speed[1], "m s-1"),
-            "heading": (heading, "rad"),
+            "east_m": (x, "m"),
+            "north_m": (y, "m"),
+            "up_m": (height_at(self.terrain, x, y), "m"),
+            "east_speed_m_s": (speed[0], "m s-1"),
+            "north_speed_m_s": (speed[1], "m s-1"),
+            "heading_rad": (heading, "rad"),
             "pitch": (np.arctan(np.sin(heading) * slope[:, 0] + np.cos(heading) * slope[:, 1]), "rad"),
-            "length": (length, "m"),
-            "width": (width, "m"),
-            "height": (height, "m"),
+            "length_m": (length, "m"),
+            "width_m": (width, "m"),
+            "height_m": (height, "m"),
             "inside": ((x >= west) & (x <= east) & (y >= south) & (y <= north), "1"),
             "moving": (np.hypot(*speed) >= MOVING_SPEED_M_S, "1"),
         }

@@ -99,8 +99,8 @@ def measure_spectra(
             "noise": (query_dims, noise, {"units": RADIANCE}),
             "served": ("query", on.astype(np.int8), {"units": "1"}),
             "track_id": ("query", np.array([q.track_id for q in queries], int), {"units": "1"}),
-            "east": ("query", np.array([q.east_m for q in queries], float), {"units": "m"}),
-            "north": ("query", np.array([q.north_m for q in queries], float), {"units": "m"}),
+            "east_m": ("query", np.array([q.east_m for q in queries], float), {"units": "m"}),
+            "north_m": ("query", np.array([q.north_m for q in queries], float), {"units": "m"}),
         },
         coords={"wavelength": ("wavelength", sensor.band_centre_um, {"units": "um"})},
     )

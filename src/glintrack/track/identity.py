@@ -78,7 +78,7 @@ def spectral_features(
     valid = served & np.isfinite(logarithm).all(axis=1)
     features = np.zeros((int(valid.sum()), bins))
     features[:, :used] = logarithm[valid] - logarithm[valid].mean(axis=1, keepdims=True)
-    position = np.stack([spectra["east"].values, spectra["north"].values], axis=-1).astype(float)
+    position = np.stack([spectra["east_m"].values, spectra["north_m"].values], axis=-1).astype(float)
     return position[valid], features
 
 

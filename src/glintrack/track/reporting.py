@@ -52,13 +52,13 @@ def tracks_to_dataset(
         Mask of the tracks that were not measured.
     """
     columns = {
-        "east": (mean[:, 0], "m"),
-        "north": (mean[:, 1], "m"),
-        "east_speed": (mean[:, 2], "m s-1"),
-        "north_speed": (mean[:, 3], "m s-1"),
-        "east_var": (covariance[:, 0, 0], "m2"),
-        "north_var": (covariance[:, 1, 1], "m2"),
-        "east_north_cov": (covariance[:, 0, 1], "m2"),
+        "east_m": (mean[:, 0], "m"),
+        "north_m": (mean[:, 1], "m"),
+        "east_speed_m_s": (mean[:, 2], "m s-1"),
+        "north_speed_m_s": (mean[:, 3], "m s-1"),
+        "east_var_m2": (covariance[:, 0, 0], "m2"),
+        "north_var_m2": (covariance[:, 1, 1], "m2"),
+        "east_north_cov_m2": (covariance[:, 0, 1], "m2"),
         "coasted": (np.asarray(coasted, float), "1"),
     }
     tracks = xr.Dataset(
@@ -333,7 +333,7 @@ def report_history(
     """
     targets, coasted = state.targets, state.design.reporting.coasted
     pending, last, known = {}, {}, {}
-    reported = {**history.reported, state.time_s: np.stack([live["east"], live["north"]], axis=-1)}
+    reported = {**history.reported, state.time_s: np.stack([live["east_m"], live["north_m"]], axis=-1)}
     for k, ident in enumerate(targets.id.tolist()):
         measured, confirmed = bool(targets.misses[k] == 0), bool(targets.confirmed[k])
         now = PastState(state.time_s, targets.mean[k], targets.covariance[k], measured)

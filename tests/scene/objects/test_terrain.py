@@ -146,11 +146,11 @@ def test_a_city_over_a_raster_is_draped(draped):
 @pytest.mark.slow
 def test_vehicles_of_a_draped_city_stand_on_it(draped):
     truth, snapshot = draped.truth(20.0), draped.at(20.0)
-    east, north = truth["east"].values, truth["north"].values
-    np.testing.assert_allclose(truth["up"], 0.05 * east - 0.02 * north, atol=2e-3)
+    east, north = truth["east_m"].values, truth["north_m"].values
+    np.testing.assert_allclose(truth["up_m"], 0.05 * east - 0.02 * north, atol=2e-3)
     moving = snapshot.transforms[snapshot.fixed :]
-    np.testing.assert_allclose(moving[:, 2, 3], truth["up"])
-    heading = truth["heading"].values
+    np.testing.assert_allclose(moving[:, 2, 3], truth["up_m"])
+    heading = truth["heading_rad"].values
     expected = np.arctan(0.05 * np.sin(heading) - 0.02 * np.cos(heading))
     np.testing.assert_allclose(truth["pitch"], expected, atol=1e-3)
     np.testing.assert_allclose(np.arcsin(moving[:, 2, 0]), expected, atol=1e-3)

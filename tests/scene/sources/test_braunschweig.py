@@ -44,7 +44,7 @@ def test_shortened_city_has_traffic_on_its_streets():
     for time_s in (0.0, 2.55, 5.0):
         truth = city.truth(time_s)
         assert truth.sizes["vehicle"] > 30
-        on_road = shapely.contains_xy(road, truth["east"].values, truth["north"].values)
+        on_road = shapely.contains_xy(road, truth["east_m"].values, truth["north_m"].values)
         assert on_road.all()
-        assert np.abs(truth["east"]).max() < 360
+        assert np.abs(truth["east_m"]).max() < 360
     assert len(city.static.faces) < 400_000

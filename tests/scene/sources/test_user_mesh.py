@@ -72,8 +72,8 @@ def test_vehicles_drive_on_the_meshs_ground(files):
     )
     city = build_scene(design(files, traffic_file=str(files / "f.csv")))
     truth = city.truth(1.0)
-    assert float(truth["up"][0]) == pytest.approx(2.0, abs=1e-4)
-    assert float(truth["east"][0]) == pytest.approx(-20 - 2.25)
+    assert float(truth["up_m"][0]) == pytest.approx(2.0, abs=1e-4)
+    assert float(truth["east_m"][0]) == pytest.approx(-20 - 2.25)
 
 
 def test_ground_is_the_lowest_surface_that_faces_up(files):

@@ -46,8 +46,8 @@ def test_a_network_with_its_own_traffic_needs_no_sumo(files, monkeypatch):
     truth = city.truth(0.5)
     schema.check(truth, "truth")
     # bumper at 15 m of the network's 50 m centre, half a car of 4.5 m behind it
-    assert float(truth["east"][0]) == pytest.approx(15 - 50 - 2.25)
-    assert float(truth["east_speed"][0]) == pytest.approx(10)
+    assert float(truth["east_m"][0]) == pytest.approx(15 - 50 - 2.25)
+    assert float(truth["east_speed_m_s"][0]) == pytest.approx(10)
     assert any("no projection" in sentence for sentence in city.assumptions)
     monkeypatch.setenv("XDG_CACHE_HOME", str(files))  # built anew, not read
     again = build_scene(tiny(files))
@@ -158,10 +158,10 @@ def test_bad_extracts_get_one_sentence(tmp_path, text, sentence):
 
 
 def bodies(truth):
-    c, s = np.cos(truth["heading"].values), np.sin(truth["heading"].values)
+    c, s = np.cos(truth["heading_rad"].values), np.sin(truth["heading_rad"].values)
     forward, right = np.stack([s, c], axis=1), np.stack([c, -s], axis=1)
-    centre = np.stack([truth["east"].values, truth["north"].values], axis=1)
-    half = truth["length"].values[:, None] / 2, truth["width"].values[:, None] / 2
+    centre = np.stack([truth["east_m"].values, truth["north_m"].values], axis=1)
+    half = truth["length_m"].values[:, None] / 2, truth["width_m"].values[:, None] / 2
     corners = [
         centre + a * half[0] * forward + b * half[1] * right for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))
     ]

@@ -48,7 +48,7 @@ def test_a_detector_of_boxes_needs_no_image():
         state, _ = track.step(state, track.Frame(0.5 * k, grid=GRID))
     tracks = track.report(state)
     assert tracks.sizes["track"] == 2
-    np.testing.assert_allclose(np.sort(tracks["east"]), np.sort(place(7)[:, 0]), atol=0.5)
+    np.testing.assert_allclose(np.sort(tracks["east_m"]), np.sort(place(7)[:, 0]), atol=0.5)
     _found, association = state.memory[-1]
     assert association.explained.all() and len(association.measured_m) == 2
     assert not state.memory[0][1].explained.any()  # nothing is confirmed at first sight
@@ -105,7 +105,7 @@ def test_a_detector_of_the_raw_mosaic_sees_it_and_its_likelihood_counts():
         state = track.start(detector=Sure())
         for k in range(6):
             state, _ = track.step(state, track.Frame(0.5 * k, mosaic=mosaic(k), grid=GRID))
-        np.testing.assert_allclose(track.report(state)["east"], [25.0], atol=0.5)
+        np.testing.assert_allclose(track.report(state)["east_m"], [25.0], atol=0.5)
         scores[ratio] = state.targets.score[0]
     assert scores[3.0] - scores[0.0] == pytest.approx(5 * 3.0)  # the first detection only begins a track
 

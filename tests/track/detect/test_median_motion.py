@@ -131,7 +131,7 @@ def test_six_frames_have_tracks_from_the_first():
     rows = as_rows(follow(sequence()))
     for k in range(6):
         here = np.isclose(rows["time_s"], INTERVAL_S * k)
-        places = np.stack([rows["east"][here], rows["north"][here]], axis=-1)
+        places = np.stack([rows["east_m"][here], rows["north_m"][here]], axis=-1)
         for at in where(k):
             assert np.hypot(*(places - at).T).min() < 3.0
         assert (rows["tentative"].values[here] > 0).all() == (k < 2)
@@ -150,7 +150,7 @@ def test_a_gap_is_filled_once_the_vehicle_is_measured_again():
     assert not np.isclose(until["time_s"], INTERVAL_S * hidden).any()
     rows = as_rows(follow(frames))
     here = np.isclose(rows["time_s"], INTERVAL_S * hidden)
-    places = np.stack([rows["east"][here], rows["north"][here]], axis=-1)
+    places = np.stack([rows["east_m"][here], rows["north_m"][here]], axis=-1)
     assert len(places)
     for at in where(hidden):
         assert np.hypot(*(places - at).T).min() < 2.0

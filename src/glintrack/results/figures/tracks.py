@@ -86,7 +86,7 @@ def show_tracks(ax: Axes, rows: xr.Dataset, time_s: float, tail_s: float = 8.0, 
     if not rows.sizes.get("row"):
         return
     t, ident = rows["time_s"].values, rows["track_id"].values
-    position = np.stack([rows["east"].values, rows["north"].values], axis=1)
+    position = np.stack([rows["east_m"].values, rows["north_m"].values], axis=1)
     recent = (t <= time_s + 1e-9) & (t >= time_s - tail_s)
     now = np.isclose(t, time_s)
     kinds = track_kinds(rows)
@@ -109,11 +109,11 @@ def show_missed(
     """Draw moving vehicles of ``/truth`` without a true track of ``rows`` at one time, as crosses."""
     if not truth.sizes.get("row"):
         return
-    speed = np.hypot(truth["east_speed"].values, truth["north_speed"].values)
+    speed = np.hypot(truth["east_speed_m_s"].values, truth["north_speed_m_s"].values)
     now = missed_rows(truth, rows, time_s) & (speed >= moving_m_s)
     shape, size, name = _SHAPES["missed"]
     style = {"c": MARKS["missed"], "linewidths": 1.0, "path_effects": _OUTLINE}
-    place = truth["east"].values[now], truth["north"].values[now]
+    place = truth["east_m"].values[now], truth["north_m"].values[now]
     ax.scatter(*place, s=size, marker=shape, label=name, **style)
 
 
