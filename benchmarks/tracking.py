@@ -89,7 +89,7 @@ def tracks_of(ids: np.ndarray, points: np.ndarray) -> xr.Dataset:
     columns = {
         "east_m": (points[:, 0], "m"), "north_m": (points[:, 1], "m"), "east_speed_m_s": (none, "m s-1"),
         "north_speed_m_s": (none, "m s-1"), "east_var_m2": (none + 1, "m2"), "north_var_m2": (none + 1, "m2"),
-        "coasted": (none, "1"),
+        "status": (np.full(len(points), "measured"), "1"),
     }  # fmt: skip
     return xr.Dataset(
         {k: ("track", v, {"units": u}) for k, (v, u) in columns.items()},

@@ -50,7 +50,7 @@ def as_tracks(tracks, before, step_s):
     columns = {"east_m": (place[:, 0], "m"), "north_m": (place[:, 1], "m")}
     columns |= {"east_speed_m_s": (speed[:, 0], "m s-1"), "north_speed_m_s": (speed[:, 1], "m s-1")}
     columns |= {"east_var_m2": (np.ones(len(names)), "m2"), "north_var_m2": (np.ones(len(names)), "m2")}
-    columns |= {"coasted": (np.zeros(len(names)), "1")}
+    columns |= {"status": (np.full(len(names), "measured"), "1")}
     data = {name: ("track", values, {"units": units}) for name, (values, units) in columns.items()}
     return xr.Dataset(data, coords={"track": np.array(names, dtype=int)})
 

@@ -45,7 +45,7 @@ def test_a_smooth_blob_says_what_the_closed_form_says():
 def flight(track_offset_m=(0.3, 0.0), frames=12):
     """One vehicle driving east at 10 m/s, seen, measured once, detected with errors, and tracked."""
     rng, times = np.random.default_rng(4), 0.5 * np.arange(frames)
-    one = {"length": np.array([4.5]), "vehicle_id": np.array([3])}
+    one = {"length_m": np.array([4.5]), "vehicle_id": np.array([3])}
     sightings, turns = [], []
     for t in times:
         place = np.array([[10.0 * t, 5.0]])

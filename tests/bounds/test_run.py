@@ -74,7 +74,7 @@ def test_the_stages_fall_and_an_oracle_holds_what_the_tracker_holds(three_cars):
     down_to_detector = shares[2 : STAGES.index("detector") + 1]
     assert (np.diff(down_to_detector) <= 1e-9).all()
     assert one["of_moving"].sel(stage="oracle_association") >= one["of_moving"].sel(stage="tracker")
-    assert (one["length"] > 4.0).all() and one.sizes["row"] == 9
+    assert (one["length_m"] > 4.0).all() and one.sizes["row"] == 9
     assert (one["found_known_background"] == 1.0).all()
 
 

@@ -60,7 +60,7 @@ def test_a_run_writes_one_whole_folder(monkeypatch, three_cars, case_file, tmp_p
     provenance = tomllib.loads((folder / "provenance.toml").read_text())
     assert provenance["frames_done"] == 9 and provenance["versions"]["numpy"] == np.__version__
     tracks = pd.read_csv(folder / "tracks_pan.csv")
-    assert list(tracks.columns) == [*TRACK_COLUMNS, "status"]
+    assert list(tracks.columns) == list(TRACK_COLUMNS)
     assert {p.name for p in folder.glob("tracks_pan*")} == {f"tracks_pan{ending}" for ending in WRITERS}
     truth, typed = pd.read_csv(folder / "truth.csv"), pd.read_parquet(folder / "truth.parquet")
     assert list(truth.columns) == list(typed.columns) and len(truth) == len(typed) > 0

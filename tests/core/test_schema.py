@@ -24,7 +24,8 @@ def example(name, size=4, dtype=float):
             if dim in COORDINATE_UNITS:
                 units = "element" if name == "frame" and dim in "xy" else COORDINATE_UNITS[dim]
                 coords[dim] = (dim, np.arange(size, dtype=float), {"units": units})
-        variables[variable] = (wanted.dims, np.full(shape, level, dtype), attrs)
+        values = np.full(shape, wanted.choices[0]) if wanted.choices else np.full(shape, level, dtype)
+        variables[variable] = (wanted.dims, values, attrs)
     return xr.Dataset(variables, coords)
 
 
@@ -88,6 +89,13 @@ def test_range_is_named_with_what_came(value, came):
     dataset["roughness"].values[2] = value
     with pytest.raises(ValueError, match=rf"`materials\.roughness` must lie within 0 to 1, {came}"):
         check(dataset, "materials")
+
+
+def test_texts_are_of_the_choices():
+    dataset = example("tracks")
+    dataset["status"] = ("track", np.full(4, "lost"), {"units": "1"})
+    with pytest.raises(ValueError, match=r"`tracks\.status` must be one of measured, .*, got lost"):
+        check(dataset, "tracks")
 
 
 def test_stokes_coordinate_must_be_the_components():

@@ -18,8 +18,8 @@ FAST, STOPPED = 10.0, 0.0
 
 
 def tracks(*rows):
-    """Dataset of tracks from (id, east, north[, coasted])."""
-    rows = [(*row, 0.0)[:4] for row in rows]
+    """Dataset of tracks from (id, east, north[, status])."""
+    rows = [(*row, "measured")[:4] for row in rows]
     ids = [row[0] for row in rows]
     zero = np.zeros(len(rows))
     columns = {
@@ -29,10 +29,10 @@ def tracks(*rows):
         "north_speed_m_s": (zero, "m s-1"),
         "east_var_m2": (zero + 1, "m2"),
         "north_var_m2": (zero + 1, "m2"),
-        "coasted": ([r[3] for r in rows], "1"),
+        "status": (np.array([r[3] for r in rows], str), "1"),
     }
     return xr.Dataset(
-        {k: ("track", np.asarray(v, float), {"units": u}) for k, (v, u) in columns.items()},
+        {k: ("track", np.asarray(v), {"units": u}) for k, (v, u) in columns.items()},
         coords={"track": np.asarray(ids, np.int64)},
     )
 
@@ -86,7 +86,7 @@ def test_occluded_vehicles_count_in_the_primary_figure_only():
 
 
 def test_coasted_track_is_valid():
-    e = score(tracks((7, 4.9, 0.0, 1.0)), truth((1, 0, 0, FAST)))
+    e = score(tracks((7, 4.9, 0.0, "coasted")), truth((1, 0, 0, FAST)))
     assert e.valid.all() and e.completeness() == 1.0
 
 
@@ -242,7 +242,7 @@ def test_errors_name_what_came():
         metrics.score_epoch(tracks(), good, (1, 0, -1, 2))
     with pytest.raises(ValueError, match="`track` must hold each id once, got 1 repeated"):
         score(tracks((7, 0, 0), (7, 1, 0)), good)
-    with pytest.raises(ValueError, match=r"`truth.east` must be present"):
+    with pytest.raises(ValueError, match=r"`truth.east_m` must be present"):
         score(tracks(), good.drop_vars("east_m"))
     with pytest.raises(ValueError, match="`over` must be"):
         score(tracks(), good).completeness("some")

@@ -68,7 +68,7 @@ def tree(name="small"):
         vehicle_id=np.stack([np.full(6, 11), swapped], axis=1).ravel(),
         valid=np.ones(12, int),
         false=np.zeros(12, int),
-        coasted=np.tile([0, 1], 6),
+        status=np.tile(["measured", "coasted"], 6),
     )
     curves = {
         "completeness": np.linspace(0.2, 0.7, 6),

@@ -229,7 +229,7 @@ def test_a_minute_at_ten_hertz_stays_small(tmp_path, monkeypatch):
 
     ids, cars = np.tile(np.arange(250), 600), np.tile(np.arange(600), 600)
     flags = np.zeros(len(ids), int)
-    tracks = table(250, track_id=ids, vehicle_id=ids, valid=flags, false=flags, coasted=flags)
+    tracks = table(250, track_id=ids, vehicle_id=ids, valid=flags, false=flags, status=flags)
     truth = table(600, vehicle_id=cars, visible_fraction=np.ones(len(cars)))
     truth["east_m"] = truth["east_m"] % 40
     tree = made.xr.DataTree.from_dict(

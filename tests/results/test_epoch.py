@@ -31,7 +31,7 @@ def level():
 
 def truth_of(ids, speeds, visible):
     nothing = np.zeros(len(ids))
-    columns = {"east": nothing, "north": nothing, "east_speed": speeds, "north_speed": nothing}
+    columns = {"east_m": nothing, "north_m": nothing, "east_speed_m_s": speeds, "north_speed_m_s": nothing}
     columns |= {"visible_fraction": visible}
     return xr.Dataset({k: ("vehicle", np.asarray(v, float)) for k, v in columns.items()}, {"vehicle": ids})
 
@@ -56,9 +56,9 @@ def test_rectified_boxes_lean_away_from_the_camera_by_their_height():
     for vehicle, (east, north) in {5: (0.0, -6.0), 6: (7.0, 3.0), PARKED_ID: (-8.0, 4.0)}.items():
         one = boxes.sel(vehicle=vehicle)
         far = north + 0.9 + 1000.0
-        assert float(one["north"]) == pytest.approx(far * 1000 / 998.5 - 1000.0, abs=1e-3)
-        assert float(one["south"]) == pytest.approx(north - 0.9, abs=1e-3)  # the sill nearest the camera
-        assert float(one["east"]) == pytest.approx(
+        assert float(one["north_m"]) == pytest.approx(far * 1000 / 998.5 - 1000.0, abs=1e-3)
+        assert float(one["south_m"]) == pytest.approx(north - 0.9, abs=1e-3)  # the sill nearest the camera
+        assert float(one["east_m"]) == pytest.approx(
             max(e * 1000 / h for e in [east + 2.25] for h in (1000, 998.5)), abs=1e-3
         )
     assert boxes["moving"].values.tolist() == [1, 0, 0] and boxes["parked"].values.tolist() == [0, 0, 1]
@@ -85,18 +85,18 @@ def test_rectified_boxes_hold_the_rectified_mask():
         row, column = np.nonzero(on_map > 0.5)
         one = boxes.sel(vehicle=vehicle)
         within = 3 * HALF_A_CELL_M  # a cell, and an element of 0.075 m to 0.11 m
-        assert float(one["west"]) == pytest.approx(x[column.min()] - HALF_A_CELL_M, abs=within)
-        assert float(one["east"]) == pytest.approx(x[column.max()] + HALF_A_CELL_M, abs=within)
-        assert float(one["south"]) == pytest.approx(y[row.max()] - HALF_A_CELL_M, abs=within)
-        assert float(one["north"]) == pytest.approx(y[row.min()] + HALF_A_CELL_M, abs=within)
+        assert float(one["west_m"]) == pytest.approx(x[column.min()] - HALF_A_CELL_M, abs=within)
+        assert float(one["east_m"]) == pytest.approx(x[column.max()] + HALF_A_CELL_M, abs=within)
+        assert float(one["south_m"]) == pytest.approx(y[row.max()] - HALF_A_CELL_M, abs=within)
+        assert float(one["north_m"]) == pytest.approx(y[row.min()] + HALF_A_CELL_M, abs=within)
 
 
 def test_an_error_of_the_reported_pose_moves_the_rectified_box_alone():
     true, pose = imaged(), imaged().true_pose
     moved = imaged(replace(pose, east_m=pose.east_m + 2.0, kind="reported"))
     before, after = vehicle_boxes(true), vehicle_boxes(moved)
-    np.testing.assert_allclose(after["x0"], before["x0"])
-    np.testing.assert_allclose(after["west"], before["west"] + 2.0, atol=1e-9)
+    np.testing.assert_allclose(after["x0_px"], before["x0_px"])
+    np.testing.assert_allclose(after["west_m"], before["west_m"] + 2.0, atol=1e-9)
 
 
 def test_a_run_writes_the_boxes_of_every_frame(three_cars, tmp_path):
@@ -110,8 +110,8 @@ def test_a_run_writes_the_boxes_of_every_frame(three_cars, tmp_path):
     np.testing.assert_allclose(rows["visible_fraction"], 1.0)
     again = label_frame(design, 2)
     last = rows[rows["frame"] == 2].set_index("vehicle_id")
-    np.testing.assert_allclose(last.loc[[11, 22, 33], "x0_px"], again["x0"], rtol=1e-5)
-    np.testing.assert_allclose(last.loc[[11, 22, 33], "west_m"], again["west"], rtol=1e-5)
+    np.testing.assert_allclose(last.loc[[11, 22, 33], "x0_px"], again["x0_px"], rtol=1e-5)
+    np.testing.assert_allclose(last.loc[[11, 22, 33], "west_m"], again["west_m"], rtol=1e-5)
     assert set(np.unique(again["mask"])) == {-1, 11, 22, 33}
 
 

@@ -138,7 +138,7 @@ def test_truth_and_snapshot_agree_and_ids_are_stable(city):
         moving = snapshot.transforms[snapshot.fixed :]
         np.testing.assert_array_equal(truth["vehicle"].values, snapshot.vehicle_id[snapshot.fixed :])
         np.testing.assert_allclose(moving[:, 0, 3], truth["east_m"])
-        along = np.cos(truth["pitch"].values)
+        along = np.cos(truth["pitch_rad"].values)
         np.testing.assert_allclose(moving[:, 0, 0], along * np.sin(truth["heading_rad"]), atol=1e-12)
         np.testing.assert_allclose(moving[:, 1, 0], along * np.cos(truth["heading_rad"]), atol=1e-12)
         assert snapshot.models is city.models and snapshot.static is city.static

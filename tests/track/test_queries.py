@@ -212,7 +212,7 @@ def spectra_of(radiance, position, served=None, noise=1e-3):
         {
             "radiance": (("query", "wavelength"), radiance, {"units": RADIANCE}),
             "noise": (("query", "wavelength"), np.full(radiance.shape, noise), {"units": RADIANCE}),
-            "served": ("query", np.ones(n) if served is None else served, {"units": "1"}),
+            "served": ("query", np.ones(n, bool) if served is None else served, {"units": "1"}),
             "track_id": ("query", np.full(n, -1.0), {"units": "1"}),
             "east_m": ("query", position[:, 0], {"units": "m"}),
             "north_m": ("query", position[:, 1], {"units": "m"}),
@@ -232,7 +232,7 @@ def test_unserved_and_missing_spectra_are_left_out():
     radiance = np.ones((3, 61))
     radiance[1] = np.nan
     where, f = identity.spectral_features(
-        spectra_of(radiance, np.eye(3)[:, :2], np.array([1.0, 1.0, 0.0])), 8
+        spectra_of(radiance, np.eye(3)[:, :2], np.array([True, True, False])), 8
     )
     assert f.shape == (1, 8) and where.tolist() == [[1, 0]]
 

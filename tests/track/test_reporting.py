@@ -90,7 +90,7 @@ def test_a_gap_is_the_straight_line_between_both_measurements():
     ends = [one.targets.position[one.targets.id == ident][0] for one in (before, again)]
     place = then.sel(track=ident)
     np.testing.assert_allclose([place["east_m"], place["north_m"]], ends[0] + 2 / 3 * (ends[1] - ends[0]))
-    assert float(place["coasted"]) == 1.0
+    assert str(place["status"].values) == "coasted"
 
 
 def test_a_track_is_told_back_to_before_its_first_detection_and_no_farther():
@@ -100,7 +100,7 @@ def test_a_track_is_told_back_to_before_its_first_detection_and_no_farther():
     assert born - round(reporting.MAX_BACK_S / INTERVAL_S) <= first < born
     for k in range(first, born):
         one = told(found)[k]
-        assert one.sizes["track"] == 1 and float(one["coasted"][0]) == 1.0
+        assert one.sizes["track"] == 1 and one["status"].values[0] == "coasted"
         np.testing.assert_allclose([one["east_m"][0], one["north_m"][0]], [east(k), 0.0], atol=2.0)
     live = next(k for k, one in enumerate(told(found, 0.0)) if one.sizes["track"])
     assert live >= born
@@ -137,8 +137,8 @@ def test_nothing_unmeasured_is_told_if_the_design_says_so():
     found = [drive(k, missed=(10, 11)) for k in range(FRAMES)]
     design = DESIGN.replace({"reporting.lag_s": LAG_S, "reporting.coasted": False})
     quiet = list(track.report_epochs(replace(state, design=design) for state in states(found)))
-    assert all((one["coasted"].values == 0).all() for one in quiet)
-    assert any((one["coasted"].values > 0).any() for one in told(found))
+    assert all((one["status"].values == "measured").all() for one in quiet)
+    assert any((one["status"].values == "coasted").any() for one in told(found))
 
 
 def test_where_detections_say_nothing_of_themselves_nothing_waits():

@@ -52,7 +52,7 @@ def test_their_tracks_in_our_scores():
     dataset = stone_soup.from_tracks(tracks, 2.0, EPOCH)
     assert sorted(dataset["east_m"].values) == [10.0, 40.0] and (dataset["north_m"].values == 1.0).all()
     assert (dataset["east_speed_m_s"].values == 8.0).all() and (dataset["north_var_m2"].values == 3.0).all()
-    assert (dataset["coasted"].values == 1.0).all()
+    assert (dataset["status"].values == "coasted").all()
     assert stone_soup.from_tracks(set(), 0.0, EPOCH).sizes["track"] == 0
 
 

@@ -144,7 +144,7 @@ def loss_budget(frames: list[FrameBudget], false_per_frame: float) -> xr.Dataset
 
 
 def _rows(frames: list[FrameBudget], found: Mapping[str, Array], d_prime: Array) -> dict:
-    units = {"length": "m", "speed": "m s-1", "time_s": "s"}
+    units = {"length_m": "m", "speed_m_s": "m s-1", "time_s": "s"}
     rows = {name: np.concatenate([f.vehicles[name] for f in frames]) for name in frames[0].vehicles}
     rows["time_s"] = np.concatenate([np.full(len(f.probability), f.time_s) for f in frames])
     rows["d_prime"] = d_prime

@@ -209,8 +209,8 @@ class BudgetRecorder:
         paints = dict(zip(snapshot.vehicle_id.tolist(), snapshot.paint.tolist(), strict=True))
         rows = {
             "vehicle_id": ids,
-            "length": truth["length_m"].values[visible],
-            "speed": np.hypot(truth["east_speed_m_s"].values, truth["north_speed_m_s"].values)[visible],
+            "length_m": truth["length_m"].values[visible],
+            "speed_m_s": np.hypot(truth["east_speed_m_s"].values, truth["north_speed_m_s"].values)[visible],
             "visible_fraction": truth["visible_fraction"].values[visible],
             "sunlit": _sunlit(frame.hits, ids),
             "paint": np.array([str(names[paints[i]]) if i in paints else "" for i in ids.tolist()], object),

@@ -8,6 +8,7 @@ import xarray as xr
 
 RADIANCE = "W m-2 sr-1 um-1"
 COUNT = "count"  # of an uncalibrated camera
+TRACK_STATUSES = ("measured", "coasted", "tentative")  # tentative: reported later, once confirmed
 IRRADIANCE = "W m-2 um-1"
 MOVING_SPEED_M_S = 1.0  # a vehicle of the truth at least this fast is moving
 MIN_SCORED_S = 5.0  # duration from which scores are meaningful: the background is learnt first
@@ -17,7 +18,8 @@ MIN_SCORED_S = 5.0  # duration from which scores are meaningful: the background 
 class Variable:
     """Requirements on one array: dims in order, unit, range, and whether NaN marks missing data.
 
-    ``or_units`` is the unit of an uncalibrated camera, if the array may come from one.
+    ``or_units`` is the unit of an uncalibrated camera, if the array may come from one; ``choices`` are the
+    allowed texts of an array of text.
     """
 
     dims: tuple[str, ...]
@@ -26,6 +28,7 @@ class Variable:
     highest: float = np.inf
     nan_allowed: bool = False
     or_units: str = ""
+    choices: tuple[str, ...] = ()
 
 
 COORDINATE_UNITS: Mapping[str, str] = {
@@ -112,7 +115,7 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
         "north_speed_m_s": Variable(("track",), "m s-1"),
         "east_var_m2": Variable(("track",), "m2", 0),
         "north_var_m2": Variable(("track",), "m2", 0),
-        "coasted": Variable(("track",), "1", 0, 1),
+        "status": Variable(("track",), "1", choices=TRACK_STATUSES),
     },
 }
 
@@ -163,6 +166,12 @@ def _check_variable(dataset: xr.Dataset, label: str, name: str, variable: Variab
     if array.size == 0:
         return
     values = array.values
+    if variable.choices:
+        if wrong := set(values.tolist()) - set(variable.choices):
+            raise ValueError(
+                f"`{label}` must be one of {', '.join(variable.choices)}, got {min(map(str, wrong))}"
+            )
+        return
     # two passes over the largest arrays: the extremes show what is not finite
     lowest, highest = (np.fmin, np.fmax) if variable.nan_allowed else (np.minimum, np.maximum)
     low, high = float(lowest.reduce(values, axis=None)), float(highest.reduce(values, axis=None))

@@ -83,8 +83,7 @@ def score_baselines(
     for name in names:
         scenario = build_scenario(plan.cases[name])
         area_m, table = scenario.city.extent_m, read_rows(folder, plan, name, "truth.csv")
-        columns = {key: key.removesuffix("_m_s").removesuffix("_m") for key in table}
-        truth = xr.Dataset({to: ("row", table[key].to_numpy()) for key, to in columns.items()})
+        truth = xr.Dataset({key: ("row", table[key].to_numpy()) for key in table})
         for line, rows in _track(folder, plan, name, scenario, baselines).items():
             found[line].append(score_rows(rows, truth, area_m))
     return {
@@ -140,7 +139,7 @@ def _frames(folder: Path, plan: DatasetPlan, name: str, scenario: Scenario) -> I
             one = data.isel(frame=place)
             image = one[["pan", "stokes_radiance", "dolp"]]
             image = image.drop_vars(["frame", "time_s", "component"], errors="ignore")
-            image = image.rename({"north": "y", "east": "x"})
+            image = image.rename({"north_m": "y", "east_m": "x"})
             image = image.assign_attrs(gsd_m=one.attrs["gsd_m"], units=RADIANCE)
             readings = readings_of(read_raw(folder / shard.raw(k)), sensor)
             pose = Pose(**dict(zip(POSE, one["reported_pose"].values.tolist(), strict=True)), kind="reported")

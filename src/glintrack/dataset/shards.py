@@ -33,12 +33,11 @@ from glintrack.sensor import Sensor, frame_of, noiseless_frame, read_out
 
 NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 _MAX_COUNT = 65535
-BOX_COLUMNS = {**FRAME_COLUMNS, "speed_m_s": "speed"}
-_TRUTH = (
+BOX_COLUMNS = (*FRAME_COLUMNS, "speed_m_s")
+TRUTH_COLUMNS = (
     "time_s", "vehicle_id", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s", "heading_rad",
     "length_m", "width_m", "visible_fraction",
 )  # fmt: skip
-TRUTH_COLUMNS = dict(zip(_TRUTH, _TRUTH, strict=True))
 POSE = (
     *("east_m", "north_m", "up_m", "heading_rad", "roll_rad", "pitch_rad"),
     *("gimbal_azimuth_rad", "gimbal_depression_rad"),
@@ -63,7 +62,7 @@ class LabelledFrame:
     mask
         Id of the vehicle at the centre of each element, −1 for none.
     boxes
-        Rows of `results.epoch.BOX_COLUMNS`, with ``speed``; also of parked vehicles.
+        Rows of `results.epoch.BOX_COLUMNS`, with ``speed_m_s``; also of parked vehicles.
     truth
         Rows of all moving vehicles of the city, seen or not.
     true_pose, reported_pose
@@ -143,7 +142,7 @@ def _boxes(imaged: SceneView, frame: int, time_s: float) -> xr.Dataset:
     speed = np.hypot(truth["east_speed_m_s"].values, truth["north_speed_m_s"].values)
     known = dict(zip(truth["vehicle"].values.tolist(), speed.tolist(), strict=True))
     speeds = np.array([known.get(int(i), 0.0) for i in boxes["vehicle"].values])
-    boxes = boxes.assign(speed=("vehicle", speeds, {"units": "m s-1"}))
+    boxes = boxes.assign(speed_m_s=("vehicle", speeds, {"units": "m s-1"}))
     return box_rows(boxes, frame, time_s)
 
 
@@ -192,7 +191,7 @@ def _data(frames: Sequence[LabelledFrame]) -> xr.Dataset:
         name: stack((f.image[name].values for f in frames), np.float32)
         for name in ("pan", "stokes_radiance", "dolp")
     }
-    ground, first = ("frame", "north", "east"), frames[0]
+    ground, first = ("frame", "north_m", "east_m"), frames[0]
     axis = {"units": RADIANCE, "stokes_frame": "meridian"}
     detector = {"units": RADIANCE, "stokes_frame": "detector", "long_name": "without noise, blur or mosaic"}
     about_mask = {"units": "1", "long_name": "vehicle_id, -1 for none"}
@@ -211,8 +210,8 @@ def _data(frames: Sequence[LabelledFrame]) -> xr.Dataset:
             "time_s": ("frame", [f.time_s for f in frames], {"units": "s"}),
             "stokes": ["I", "Q", "U"],
             "component": list(POSE),
-            "north": ("north", first.image["y"].values, {"units": "m"}),
-            "east": ("east", first.image["x"].values, {"units": "m"}),
+            "north_m": ("north_m", first.image["y"].values, {"units": "m"}),
+            "east_m": ("east_m", first.image["x"].values, {"units": "m"}),
         },
         attrs={"gsd_m": float(first.image.attrs["gsd_m"])},
     )

@@ -5,7 +5,7 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -89,23 +89,22 @@ def read_csv(
     return table.fillna("") if types is str else table
 
 
-def write_table(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> None:
-    """Write a dataset with dim ``row`` as CSV; ``columns`` maps columns to its variables, if it has them."""
+def write_table(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:
+    """Write some variables of a dataset with dim ``row`` as CSV, if it has them; booleans as 0 or 1."""
     if rows.sizes.get("row"):
-        table = pd.DataFrame({column: rows[name].values for column, name in columns.items() if name in rows})
+        table = pd.DataFrame({name: rows[name].values for name in columns if name in rows})
         table = table.astype({str(column): int for column in table.select_dtypes(bool)})
     else:
         table = pd.DataFrame(columns=list(columns))
     table.to_csv(path, index=False, float_format="%.6g", na_rep="nan", lineterminator="\r\n")
 
 
-def write_parquet(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> None:
+def write_parquet(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:
     """Write a dataset with dim ``row`` as Parquet, as `write_table`; the fields have units."""
-    columns = {column: name for column, name in columns.items() if name in rows}
-    names = list(columns.values())
+    names = [name for name in columns if name in rows]
     units = [{"units": str(rows[name].attrs.get("units", "1"))} for name in names]
     types = [pa.from_numpy_dtype(rows[name].dtype) for name in names]
-    fields = [pa.field(*field) for field in zip(columns, types, [True] * len(names), units, strict=True)]
+    fields = [pa.field(*field) for field in zip(names, types, [True] * len(names), units, strict=True)]
     arrays = [pa.array(rows[name].values) for name in names]
     sink = pa.BufferOutputStream()
     pyarrow.parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), sink)

@@ -17,10 +17,10 @@ import xarray as xr
 from glintrack.io.atomic import write_bytes, write_text
 from glintrack.io.crs import longitude_latitude
 
-# columns of the file and variables of the rows; the column ``status`` follows
+# columns of the file and variables of the rows
 TRACK_COLUMNS = (
     "time_s", "track_id", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s",
-    "east_var_m2", "north_var_m2", "east_north_cov_m2",
+    "east_var_m2", "north_var_m2", "east_north_cov_m2", "status",
 )  # fmt: skip
 BOX_M = 5.0  # side of a track's box in MOTChallenge, about the length of a car
 _CAR = 3  # class of MOTChallenge
@@ -49,15 +49,11 @@ class TrackGeoreference:
 
 
 def track_table(rows: xr.Dataset) -> pd.DataFrame:
-    """Table of tracks with `TRACK_COLUMNS` and ``status``: measured, coasted or tentative."""
+    """Table of tracks with `TRACK_COLUMNS`; NaN where a column is missing."""
     missing = np.full(rows.sizes.get("row", 0), np.nan)
     columns = {c: np.asarray(rows[c].values) if c in rows else missing for c in TRACK_COLUMNS}
     table = pd.DataFrame(columns)
     table["track_id"] = table["track_id"].astype(np.int64)
-    coasted = np.asarray(rows["coasted"].values) > 0 if "coasted" in rows else np.zeros(len(table), bool)
-    table["status"] = np.where(coasted, "coasted", "measured")
-    if "tentative" in rows:
-        table.loc[np.asarray(rows["tentative"].values) > 0, "status"] = "tentative"
     return table
 
 
@@ -225,11 +221,13 @@ def _lines(
 
 
 def _feature_collection(table: pd.DataFrame, place: TrackGeoreference, id_column: str) -> dict:
-    features = []
+    features, statuses = [], table.groupby(id_column)["status"].agg(list) if "status" in table else {}
     for ident, times_s, points in _lines(table, place, id_column):
         shape = {"type": "LineString", "coordinates": points}
         if len(points) == 1:
             shape = {"type": "Point", "coordinates": points[0]}
         properties = {id_column: ident, "time_s": times_s}
+        if ident in statuses:
+            properties["status"] = statuses[ident]
         features.append({"type": "Feature", "geometry": shape, "properties": properties})
     return {"type": "FeatureCollection", "features": features}

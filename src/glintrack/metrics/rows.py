@@ -37,8 +37,8 @@ def score_rows(
     Parameters
     ----------
     tracks, truth
-        Datasets with dim ``row``: ``time_s``, ``track_id`` or ``vehicle_id``, ``east``, ``north``, the truth
-        with ``east_speed`` and ``north_speed`` [s, m, m s⁻¹], optionally ``visible_fraction`` and ``inside``.
+        Datasets with dim ``row``: ``time_s``, ``track_id`` or ``vehicle_id``, ``east_m``, ``north_m``; the
+        truth with ``east_speed_m_s``, ``north_speed_m_s``, optionally ``visible_fraction`` and ``inside``.
     area_m
         Area of interest (west, south, east, north); by default the box around the truth, or around the part
         of it that is ``inside``. [m]

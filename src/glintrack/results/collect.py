@@ -88,7 +88,7 @@ class Loop:
             # the vehicle matched to each track (−1: none), and whether the track is correct or false
             columns = {"vehicle_id": score.matched_vehicle, "valid": score.valid, "false": score.false}
             tracks = tracks.assign(
-                {name: ("track", values.astype(np.int64), {"units": "1"}) for name, values in columns.items()}
+                {name: ("track", np.asarray(values), {"units": "1"}) for name, values in columns.items()}
             )
             rows = rows.append(rows_of(tracks, "track", score.time_s))
         return replace(self, scores=tuple(scores), tracks=rows, unscored=self.unscored[len(reported) :])

@@ -20,17 +20,11 @@ from glintrack.render import Hits, Observer, Outlines, Sky, outlines, vehicle_ma
 from glintrack.scene import VEHICLE_CLASSES, City, Snapshot
 from glintrack.sensor import Sensor, light_on_elements, smear
 
-BOX_COLUMNS = {
-    "frame": "frame",
-    "time_s": "time_s",
-    "vehicle_id": "vehicle_id",
-    "class": "class",
-    "moving": "moving",
-    "parked": "parked",
-    **{f"{name}_px": name for name in ("x0", "y0", "x1", "y1")},
-    **{f"{name}_m": name for name in ("west", "south", "east", "north")},
-    "visible_fraction": "visible_fraction",
-}  # of boxes.csv: column -> variable
+_PIXELS, _METRES = ("x0_px", "y0_px", "x1_px", "y1_px"), ("west_m", "south_m", "east_m", "north_m")
+# columns of boxes.csv
+BOX_COLUMNS = (
+    "frame", "time_s", "vehicle_id", "class", "moving", "parked", *_PIXELS, *_METRES, "visible_fraction",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -137,9 +131,9 @@ def vehicle_boxes(frame: SceneView) -> xr.Dataset:
     Returns
     -------
     Dim ``vehicle`` with the ids (parked ones from a million on) and ``class``, ``moving`` (from 1 m/s),
-    ``parked``, ``visible_fraction`` [1]; ``x0``, ``y0``, ``x1``, ``y1`` in the raw frame, cut at its edge,
-    element centres at integers [pixel]; ``west``, ``south``, ``east``, ``north`` in the rectified frame: each
-    vertex is on the terrain where it is seen from the reported pose [m].
+    ``parked``, ``visible_fraction`` [1]; ``x0_px``, ``y0_px``, ``x1_px``, ``y1_px`` in the raw frame, cut at
+    its edge, element centres at integers; ``west_m``, ``south_m``, ``east_m``, ``north_m`` in the rectified
+    frame: each vertex is on the terrain where it is seen from the reported pose.
     """
     observer, snapshot, seen = frame.observer, frame.snapshot, frame.outlines
     parked = seen.instance < snapshot.fixed
@@ -166,11 +160,11 @@ def vehicle_boxes(frame: SceneView) -> xr.Dataset:
     classes = [VEHICLE_CLASSES[k] for k in np.asarray(snapshot.model)[seen.instance]]
     columns = {
         "class": (np.array(classes, dtype=object), "1"),
-        "moving": (of_truth["moving"].to_numpy(np.int64), "1"),
-        "parked": (parked.astype(np.int64), "1"),
+        "moving": (of_truth["moving"].to_numpy(bool), "1"),
+        "parked": (parked, "1"),
         "visible_fraction": (visibility, "1"),
-        **{name: (seen.box[:, k], "pixel") for k, name in enumerate(("x0", "y0", "x1", "y1"))},
-        **{name: (ground[:, k], "m") for k, name in enumerate(("west", "south", "east", "north"))},
+        **{name: (seen.box[:, k], "pixel") for k, name in enumerate(_PIXELS)},
+        **{name: (ground[:, k], "m") for k, name in enumerate(_METRES)},
     }
     boxes = xr.Dataset(
         {name: ("vehicle", values, {"units": units}) for name, (values, units) in columns.items()},

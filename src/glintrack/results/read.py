@@ -52,7 +52,7 @@ _PLACE = {"time_s", "east_m", "north_m"}
 _SPEED = {"east_speed_m_s", "north_speed_m_s"}
 # required columns of a table, by the last part of its path
 _REQUIRED = {
-    "tracks": _PLACE | _SPEED | {"track_id"},
+    "tracks": _PLACE | _SPEED | {"track_id", "status"},
     "truth": _PLACE | _SPEED | {"vehicle_id"},
     "queries": _PLACE | {"track_id", "vehicle_id", "radiance", "wavelength"},
     "vehicles": {"paint", "vehicle"},
@@ -306,7 +306,10 @@ def _remove_broken_tables(tree: xr.DataTree, notes: list[str]) -> xr.DataTree:
         nodes[path] = node.to_dataset(inherit=False)
         missing = _REQUIRED.get(path.rpartition("/")[2], set()) - set(map(str, nodes[path].variables))
         if nodes[path].variables and missing:
-            notes.append(f"result.nc: the table {path} lacks {', '.join(sorted(missing))} and is not shown.")
+            notes.append(
+                f"result.nc: the table {path} lacks {', '.join(sorted(missing))} and is not shown. "
+                "Another version wrote it, or the file is damaged: simulate the case again."
+            )
             nodes[path] = xr.Dataset()
     return xr.DataTree.from_dict(nodes)
 

@@ -142,7 +142,7 @@ class Recorder:
             "east_var_m2": (covariance[:, 0, 0], "m2"),
             "north_var_m2": (covariance[:, 1, 1], "m2"),
             "east_north_cov_m2": (covariance[:, 0, 1], "m2"),
-            "extent": (join("extent"), "m"),
+            "extent_m": (join("extent"), "m"),
             "contrast": (join("contrast"), "1"),
         }
         if all(one.log_likelihood_ratio is not None for _, one in found):
@@ -247,7 +247,7 @@ def _xyz(epoch: Epoch) -> tuple[Array, Array]:
 
 def _query_rows(epoch: Epoch) -> xr.Dataset:
     """Rows of one epoch's served queries: position, track, vehicle (−1: none), and spectrum."""
-    served = epoch.spectra["served"].values.astype(bool)
+    served = epoch.spectra["served"].values
     names = ("track_id", "east_m", "north_m", "radiance")
     track, east, north, radiance = (epoch.spectra[name].values[served] for name in names)
     vehicle_of = dict(zip(epoch.score.track_ids.tolist(), epoch.score.matched_vehicle.tolist(), strict=True))

@@ -35,16 +35,14 @@ from glintrack.results.verdict import CHANNEL_WORDS
 from glintrack.sensor import response_curves
 from glintrack.sensor.sensor import ETALON_STEPS
 
-_TRUTH = (
+TRUTH_COLUMNS = (
     "time_s", "vehicle_id", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s", "up_m", "heading_rad",
     "length_m", "width_m", "height_m", "visible_fraction", "inside", "moving",
 )  # fmt: skip
-TRUTH_COLUMNS: dict[str, str] = dict(zip(_TRUTH, _TRUTH, strict=True))
-_SCORES = (
+SCORE_COLUMNS = (
     "time_s", "completeness", "completeness_visible", "purity", "held_per_km2", "false_tracks",
     "false_per_km2", "should", "valid", "queries_asked", "queries_served", "exposure_ms",
 )  # fmt: skip
-SCORE_COLUMNS: dict[str, str] = dict(zip(_SCORES, _SCORES, strict=True))
 SKY_WAVELENGTH_UM = 0.55
 _DPI = 200  # of pictures
 _FINE = 200  # wavelengths of a device's curve

@@ -152,9 +152,9 @@ class City:
     def truth(self, time_s: float) -> xr.Dataset:
         """Evaluate the true state of every vehicle at a time of the case, as a Dataset of schema ``truth``.
 
-        Positions are centres of vehicles on the ground; parked vehicles are not among them. ``pitch`` is the
-        slope of the ground along the heading, nose up positive. ``inside`` is 1 within the window, ``moving``
-        1 from 1 m s⁻¹, else 0.
+        Positions are centres of vehicles on the ground; parked vehicles are not among them. ``pitch_rad``
+        is the slope of the ground along the heading, nose up positive. ``inside`` is True within the window,
+        ``moving`` from 1 m s⁻¹.
         """
         ids, states = self._present(time_s)
         x, y, heading, *speed = states.T
@@ -168,14 +168,14 @@ class City:
             "east_speed_m_s": (speed[0], "m s-1"),
             "north_speed_m_s": (speed[1], "m s-1"),
             "heading_rad": (heading, "rad"),
-            "pitch": (np.arctan(np.sin(heading) * slope[:, 0] + np.cos(heading) * slope[:, 1]), "rad"),
+            "pitch_rad": (np.arctan(np.sin(heading) * slope[:, 0] + np.cos(heading) * slope[:, 1]), "rad"),
             "length_m": (length, "m"),
             "width_m": (width, "m"),
             "height_m": (height, "m"),
             "inside": ((x >= west) & (x <= east) & (y >= south) & (y <= north), "1"),
             "moving": (np.hypot(*speed) >= MOVING_SPEED_M_S, "1"),
         }
-        variables = {n: ("vehicle", np.asarray(v, float), {"units": u}) for n, (v, u) in columns.items()}
+        variables = {n: ("vehicle", np.asarray(v), {"units": u}) for n, (v, u) in columns.items()}
         truth = xr.Dataset(variables, coords={"vehicle": np.asarray(ids, dtype=np.int64)})
         return schema.check(truth, "truth")
 

@@ -97,7 +97,7 @@ def measure_spectra(
         {
             "radiance": (query_dims, spectrum, {"units": RADIANCE}),
             "noise": (query_dims, noise, {"units": RADIANCE}),
-            "served": ("query", on.astype(np.int8), {"units": "1"}),
+            "served": ("query", on, {"units": "1"}),
             "track_id": ("query", np.array([q.track_id for q in queries], int), {"units": "1"}),
             "east_m": ("query", np.array([q.east_m for q in queries], float), {"units": "m"}),
             "north_m": ("query", np.array([q.north_m for q in queries], float), {"units": "m"}),

@@ -65,7 +65,7 @@ def spectral_features(
     illumination [nat]. Spectra without positive radiance are left out.
     """
     schema.check(spectra, "spectra")
-    served = spectra["served"].values > 0
+    served = spectra["served"].values
     radiance = np.asarray(spectra["radiance"].values, dtype=float)
     noise = np.asarray(spectra["noise"].values, dtype=float)
     used = min(bins, radiance.shape[1])

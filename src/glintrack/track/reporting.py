@@ -37,6 +37,7 @@ def tracks_to_dataset(
     mean: Float[Array, "track 4"],
     covariance: Float[Array, "track 4 4"],
     coasted: Bool[Array, "track"],
+    tentative: bool = False,
 ) -> xr.Dataset:
     """Convert tracks of one epoch to a Dataset of the schema ``tracks``.
 
@@ -50,7 +51,10 @@ def tracks_to_dataset(
         State ``[east, north, east speed, north speed]``. [m, m s⁻¹]
     coasted
         Mask of the tracks that were not measured.
+    tentative
+        The tracks were confirmed only later: their status is ``tentative``.
     """
+    status = np.full(len(ident), "tentative") if tentative else np.where(coasted, "coasted", "measured")
     columns = {
         "east_m": (mean[:, 0], "m"),
         "north_m": (mean[:, 1], "m"),
@@ -59,7 +63,7 @@ def tracks_to_dataset(
         "east_var_m2": (covariance[:, 0, 0], "m2"),
         "north_var_m2": (covariance[:, 1, 1], "m2"),
         "east_north_cov_m2": (covariance[:, 0, 1], "m2"),
-        "coasted": (np.asarray(coasted, float), "1"),
+        "status": (status, "1"),
     }
     tracks = xr.Dataset(
         {name: ("track", values.copy(), {"units": units}) for name, (values, units) in columns.items()},
@@ -328,8 +332,7 @@ def report_history(
 
     Returns
     -------
-    The history after this epoch; times, the earliest first, and tracks of earlier epochs, with ``tentative``
-    1.
+    The history after this epoch; times, the earliest first, and tracks of earlier epochs, all ``tentative``.
     """
     targets, coasted = state.targets, state.design.reporting.coasted
     pending, last, known = {}, {}, {}
@@ -362,10 +365,9 @@ def report_history(
             tracks = tracks_to_dataset(
                 time_s, np.array([ident for ident, _ in fresh]), np.array([one.mean for _, one in fresh]),
                 np.array([one.covariance for _, one in fresh]),
-                np.array([not one.measured for _, one in fresh]),
+                np.array([not one.measured for _, one in fresh]), tentative=True,
             )  # fmt: skip
-            tentative = ("track", np.ones(len(fresh)), {"units": "1"})
-            out.append((time_s, tracks.assign(tentative=tentative)))
+            out.append((time_s, tracks))
             reported[time_s] = np.concatenate([others, [one.mean[:2] for _, one in fresh]])
     oldest = min((states[0].time_s for states in pending.values() if states), default=state.time_s)
     oldest = min([oldest, *state.detections.earlier_s])

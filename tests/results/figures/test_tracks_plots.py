@@ -21,18 +21,19 @@ def table(**columns):
 
 
 ROWS = table(
-    time_s=[1.0, 1.0, 1.0, 1.0], track_id=[1, 2, 3, 4], east=[0.0, 1, 2, 3], north=[0.0, 1, 2, 3],
-    vehicle_id=[11, 12, -1, 14], valid=[1, 1, 0, 0], false=[0, 0, 1, 0], coasted=[0, 1, 0, 0],
+    time_s=[1.0, 1.0, 1.0, 1.0], track_id=[1, 2, 3, 4], east_m=[0.0, 1, 2, 3], north_m=[0.0, 1, 2, 3],
+    vehicle_id=[11, 12, -1, 14], valid=[1, 1, 0, 0], false=[0, 0, 1, 0],
+    status=["measured", "coasted", "measured", "measured"],
 )  # fmt: skip
 TRUTH = table(
-    time_s=[1.0, 1.0, 1.0, 2.0], vehicle_id=[11, 13, 15, 13], east=[0.0, 5, 6, 5], north=[0.0, 5, 6, 5],
-    east_speed=[5.0, 5, 0, 5], north_speed=[0.0, 0, 0, 0],
+    time_s=[1.0, 1.0, 1.0, 2.0], vehicle_id=[11, 13, 15, 13], east_m=[0.0, 5, 6, 5], north_m=[0.0, 5, 6, 5],
+    east_speed_m_s=[5.0, 5, 0, 5], north_speed_m_s=[0.0, 0, 0, 0],
 )  # fmt: skip
 
 
 def test_each_track_is_of_one_kind():
     assert track_kinds(ROWS).tolist() == ["true", "coast", "false", "other"]
-    bare = ROWS[["time_s", "track_id"]].assign(coasted=ROWS["coasted"])
+    bare = ROWS[["time_s", "track_id"]].assign(status=ROWS["status"])
     assert track_kinds(bare).tolist() == ["true", "coast", "true", "true"]  # nobody judged them
 
 

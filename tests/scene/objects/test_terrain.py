@@ -152,5 +152,5 @@ def test_vehicles_of_a_draped_city_stand_on_it(draped):
     np.testing.assert_allclose(moving[:, 2, 3], truth["up_m"])
     heading = truth["heading_rad"].values
     expected = np.arctan(0.05 * np.sin(heading) - 0.02 * np.cos(heading))
-    np.testing.assert_allclose(truth["pitch"], expected, atol=1e-3)
+    np.testing.assert_allclose(truth["pitch_rad"], expected, atol=1e-3)
     np.testing.assert_allclose(np.arcsin(moving[:, 2, 0]), expected, atol=1e-3)

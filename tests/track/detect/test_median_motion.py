@@ -122,7 +122,7 @@ def test_nothing_leaks_from_later_frames():
 
 def by_then(reports, count):
     """What was given out with the first so many frames; each ends with its own report."""
-    ends = [i for i, (_, tracks) in enumerate(reports) if not (tracks["tentative"] > 0).any()]
+    ends = [i for i, (_, tracks) in enumerate(reports) if not (tracks["status"] == "tentative").any()]
     return reports[: ends[count - 1] + 1]
 
 
@@ -134,11 +134,11 @@ def test_six_frames_have_tracks_from_the_first():
         places = np.stack([rows["east_m"][here], rows["north_m"][here]], axis=-1)
         for at in where(k):
             assert np.hypot(*(places - at).T).min() < 3.0
-        assert (rows["tentative"].values[here] > 0).all() == (k < 2)
+        assert (rows["status"].values[here] == "tentative").all() == (k < 2)
     assert np.all(np.diff(rows["time_s"]) >= 0)
     live = as_rows(follow(sequence(), **{"reporting.history": False}))
     assert live["time_s"].values.min() >= 2 * INTERVAL_S - 1e-9
-    assert "tentative" not in live
+    assert "tentative" not in live["status"].values
 
 
 def test_a_gap_is_filled_once_the_vehicle_is_measured_again():

@@ -141,9 +141,10 @@ def track_kinds(rows: xr.Dataset) -> Array:
     count = rows.sizes["row"]
     flags = {
         name: rows[name].values > 0 if name in rows else np.full(count, name == "valid")
-        for name in ("valid", "false", "coasted")
+        for name in ("valid", "false")
     }
-    kinds = np.where(flags["valid"], np.where(flags["coasted"], "coast", "true"), "other")
+    coasted = rows["status"].values == "coasted" if "status" in rows else np.zeros(count, bool)
+    kinds = np.where(flags["valid"], np.where(coasted, "coast", "true"), "other")
     return np.where(flags["false"], "false", kinds)
 
 
