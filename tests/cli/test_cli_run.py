@@ -1,13 +1,16 @@
 """What a run says at its end: a loss budget and scores that fit a narrow terminal, and one sentence."""
 
 import io
+import time
 
 import numpy as np
 import xarray as xr
 from rich.console import Console
 
-from glintrack.cli.options import Bar
+from glintrack.cli import options
+from glintrack.cli.options import Bar, show_waiting
 from glintrack.cli.run import assess_tracks, print_loss_budget, print_scores
+from glintrack.core.progress import step
 from glintrack.metrics.requirement import read_requirement
 
 SCORES = {
@@ -55,18 +58,42 @@ def test_the_scores_fit_eighty_columns_with_their_headings_whole():
     assert ["DoLP", "118", "0.302", "0.341", "0.338", "11.4", "0.941", "9"] in lines
 
 
-def test_where_output_is_a_file_each_tenth_is_a_line():
-    def fly(console, count):
-        with Bar(console) as bar:
-            task = bar.add_task("flying", total=count, left="")
-            for k in range(count):
-                bar.update(task, advance=1, left=f"{count - 1 - k} s left")
+def test_where_output_is_a_file_a_line_comes_at_intervals(monkeypatch):
+    monkeypatch.setattr(options, "LINE_S", 0.02)
+    lines = io.StringIO()
 
-    assert said(fly, 4) == [
-        "flying", "flying, 20 %, 3 s left", "flying, 50 %, 2 s left", "flying, 70 %, 1 s left",
-        "flying, 100 %, 0 s left",
-    ]  # fmt: skip
-    assert len(said(fly, 1000)) == 11
+    def wait_for(line):
+        deadline = time.monotonic() + 30
+        while line not in lines.getvalue().splitlines():
+            assert time.monotonic() < deadline, lines.getvalue()
+            time.sleep(0.005)
+
+    with Bar(Console(file=lines)) as bar:
+        task = bar.add_task("flight", total=4, left="")
+        with step("building the city"), step("running SUMO"):
+            wait_for("flight: running SUMO, after 10 s")
+        with step("solving the sky") as report:
+            report(0.34)
+            wait_for("flight: solving the sky, 34 %, after 10 s")
+        bar.update(task, advance=1, left="3 s left")
+        wait_for("flight, 25 %, 3 s left")
+        time.sleep(0.2)  # nothing changes
+        assert list(bar.track(range(2), description="drawing")) == [0, 1]
+    assert lines.getvalue().splitlines()[0] == "flight"
+    assert lines.getvalue().splitlines().count("flight, 25 %, 3 s left") == 1
+
+
+def test_what_ends_soon_prints_no_line():
+    def wait(console, _):
+        with show_waiting(console, "tracking"):
+            pass
+
+    assert said(wait, None) == []
+
+
+def test_steps_without_a_listener_do_nothing():
+    with step("building") as report:
+        report(0.5)
 
 
 def one_car(frames):

@@ -112,3 +112,24 @@ def test_an_area_without_vehicles_is_named(files, monkeypatch, capsys):
     with pytest.raises(SystemExit):
         app.main()
     assert "no vehicle in the area given is as fast as" in " ".join(capsys.readouterr().out.split())
+
+
+def test_exchanged_files_are_recognized_by_their_columns(files, monkeypatch, capsys):
+    tracks, folder = files
+    tracks.to_csv(folder / "tracks.csv", index=False)
+    monkeypatch.setattr(
+        "sys.argv", ["glintrack", "score", str(folder / "truth.csv"), str(folder / "tracks.csv")]
+    )
+    with pytest.raises(SystemExit) as end:
+        app.main()
+    assert end.value.code == 2
+    assert "are tracks and truth exchanged? The tracks come first" in capsys.readouterr().err
+
+
+def test_decimal_commas_are_recognized(files):
+    tracks, folder = files
+    tracks.astype({"east_m": str}).replace({"east_m": "-150.0"}, "-150,0").to_csv(
+        folder / "tracks.csv", index=False
+    )
+    with pytest.raises(ValueError, match=r"`east_m` must hold numbers, got '-150,0' .*\(write -150\.0, with"):
+        score(folder / "tracks.csv", folder / "truth.csv")

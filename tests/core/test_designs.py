@@ -223,3 +223,12 @@ def test_a_number_with_its_unit_is_told_the_unit_of_its_key():
 
 def test_a_word_like_none_gets_all_that_are_known():
     assert suggest_name("foo", ["ortho", "track"]) == "known are ortho, track"
+
+
+def test_a_decimal_comma_is_recognized(tmp_path):
+    with pytest.raises(ValueError, match=r"`sensor.pitch_um` must be a number.* got '3,45' \(write 3\.45"):
+        Case().replace({"sensor.pitch_um": toml_value("3,45")})
+    path = tmp_path / "case.toml"
+    path.write_text("[sensor]\nf_number = 4\npitch_um = 3,45  # of a data sheet\n")
+    with pytest.raises(ValueError, match=r"valid TOML.*line 3.*pitch_um = 3,45 \(write 3\.45"):
+        read_toml(path, "case")

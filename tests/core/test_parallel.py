@@ -6,7 +6,7 @@ import time
 import numba as nb
 import pytest
 
-from glintrack.core.parallel import BackgroundTask, map_threads, one_thread, prefetch
+from glintrack.core.parallel import BackgroundTask, compilation, map_threads, one_thread, prefetch
 
 
 @pytest.fixture(params=[1, 2])
@@ -116,3 +116,11 @@ def test_an_error_beside_is_raised_where_it_is_waited_for(threads):
     with pytest.raises(ZeroDivisionError):
         fail()
     beside.wait()  # it was told once
+
+
+def test_each_compiled_kernel_is_reported(monkeypatch):
+    counts = []
+    monkeypatch.setattr(compilation, "on_kernel", counts.append)
+    before = compilation.kernels
+    assert nb.njit(lambda x: x + 1)(1) == 2
+    assert counts == [before + 1] == [compilation.kernels]

@@ -8,7 +8,7 @@ import pytest
 import rasterio
 import rasterio.transform
 
-from glintrack.io.crs import change_crs, longitude_latitude
+from glintrack.io.crs import change_crs, check_not_exchanged, longitude_latitude
 from glintrack.io.photographs import read_heights
 
 
@@ -68,3 +68,10 @@ def test_maps_of_zones_and_continents_are_taken(crs):
     east_m, north_m = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(*there)
     longitude, latitude = longitude_latitude(crs, np.array([east_m]), np.array([north_m]))
     np.testing.assert_allclose((longitude[0], latitude[0]), there, atol=1e-7)
+
+
+def test_an_exchanged_longitude_and_latitude_are_refused():
+    check_not_exchanged("EPSG:32632", 10.5, 52.3, "pose")
+    check_not_exchanged("EPSG:32632", 100.0, -50.0, "pose")  # off the map either way
+    with pytest.raises(ValueError, match=r"`pose` must lie where .* is made for; got longitude 52\.3000°"):
+        check_not_exchanged("EPSG:32632", 52.3, 10.5, "pose")

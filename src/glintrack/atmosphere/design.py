@@ -4,7 +4,7 @@ import datetime
 import itertools
 import json
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from jaxtyping import Float
 from pydantic import Field, model_validator
@@ -65,6 +65,19 @@ class AtmosphereDesign(Design):
     altitudes_m: tuple[_Height, ...] = (500.0, 1000.0, 2000.0, 3000.0, 5000.0, 10000.0)
     """Heights above the ground at which the path is tabulated, rising."""
     streams: int = Field(default=16, ge=4, le=40, description="Discrete ordinates over the full sphere, even")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _place_not_exchanged(cls, values: Any) -> Any:
+        keys = ("latitude_deg", "longitude_deg")
+        latitude, longitude = (values.get(key) if isinstance(values, dict) else None for key in keys)
+        both = isinstance(latitude, float | int) and isinstance(longitude, float | int)
+        if both and abs(longitude) <= 90 < abs(latitude) <= 180:
+            raise ValueError(
+                f"`latitude_deg` must lie within ±90°; got {latitude:g} with longitude_deg = {longitude:g}. "
+                "Exchange them."
+            )
+        return values
 
     @model_validator(mode="after")
     def _consistent(self):

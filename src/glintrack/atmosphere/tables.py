@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import nullcontext
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import xarray as xr
 
 from glintrack.atmosphere.design import AtmosphereDesign
 from glintrack.atmosphere.sun import sun_direction
+from glintrack.core.progress import step
 from glintrack.core.schema import RADIANCE, check
 from glintrack.io.atomic import write_bytes
 from glintrack.io.cache import cache_folder, content_stem, find, store
@@ -52,7 +54,9 @@ def solve_tables(
         path = find(stem, ".nc", folder)
         with tempfile.TemporaryDirectory(prefix="glintrack-") as scratch:
             if path is None:
-                path = solve_in_worker(design, Path(scratch), progress, threads)
+                solving = step("solving the sky") if progress is None else nullcontext(progress)
+                with solving as report:
+                    path = solve_in_worker(design, Path(scratch), report, threads)
                 store(stem, ".nc", folder, path.read_bytes())
             tables = xr.load_dataset(path, engine="h5netcdf")
     return check(with_radiances(tables), "atmosphere")

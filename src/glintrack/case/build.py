@@ -4,8 +4,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from glintrack.atmosphere import solve_tables, sun_direction
+import numpy as np
+
+from glintrack.atmosphere import AtmosphereDesign, solve_tables, sun_direction
 from glintrack.case.design import Case
+from glintrack.core.progress import step
 from glintrack.core.records import GroundPlace
 from glintrack.flight import Flight, build_flight, check_recorded
 from glintrack.ortho import ground_grid, rectify_array
@@ -14,6 +17,8 @@ from glintrack.render.frame import FrameView, GroundGrid
 from glintrack.render.observer import FrameRadiance
 from glintrack.scene import City, build_scene
 from glintrack.sensor import Sensor, build_sensor, read_lens
+
+_NEAR_DEG = 1.0  # between two statements of one place
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,9 @@ def build_scenario(case: Case) -> Scenario:
     """Build the city, atmosphere, flight and sensor of a case."""
     if not isinstance(case, Case):
         raise TypeError(f"`case` must be a Case, got {case!r} (Case.from_toml reads one; run takes a name)")
-    city = build_scene(case.scene)
+    with step("building the city"):
+        city = build_scene(case.scene)
+    check_place(case.atmosphere, city)
     check_recorded(case.flight, city.duration_s)
     tables = solve_tables(case.atmosphere)
     origin_m = (city.origin_easting_m, city.origin_northing_m)
@@ -75,6 +82,18 @@ def build_scenario(case: Case) -> Scenario:
         sun_samples=case.sensor.sun_samples,
     )
     return Scenario(case, city, sky, flight, sensor, observer)
+
+
+def check_place(atmosphere: AtmosphereDesign, city: City) -> None:
+    """Refuse a place of the sun whose latitude and longitude are those of the city, exchanged."""
+    own = np.array([atmosphere.latitude_deg, atmosphere.longitude_deg])
+    there = np.array([city.latitude_deg, city.longitude_deg])
+    near, exchanged = (np.abs(own - one).max() < _NEAR_DEG for one in (there, there[::-1]))
+    if exchanged and not near and atmosphere.sun_zenith_deg is None:
+        raise ValueError(
+            f"`atmosphere.latitude_deg` and longitude_deg must be those of the city, {there[0]:.4g}° and "
+            f"{there[1]:.4g}°; got {own[0]:.4g}° and {own[1]:.4g}°. Exchange them."
+        )
 
 
 def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | None = None) -> FrameView:

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from glintrack.case.build import check_place
 from glintrack.case.check import assess
 from glintrack.case.design import Case
 from glintrack.case.fitted_range import describe_initiation, tracker_notes
@@ -22,6 +23,7 @@ from glintrack.cli.options import (
     make_table,
     open_console,
     option,
+    show_waiting,
 )
 from glintrack.core.designs import Key, keys_of, suggest_name, tables_of
 from glintrack.flight import check_recorded, check_waypoints
@@ -51,8 +53,10 @@ def check(case: CaseArgument, allow_outside_paths: OutsidePathsOption = False) -
         check_waypoints(flight)
     console = open_console()
     if design.scene.uses_files or design.scene.panels:
-        with console.status("building the city …"):
-            recording_duration_s = build_scene(design.scene).duration_s
+        with show_waiting(console, "building the city"):
+            city = build_scene(design.scene)
+        check_place(design.atmosphere, city)
+        recording_duration_s = city.duration_s
     else:
         recording_duration_s = design.scene.recording_duration_s
     check_recorded(flight, recording_duration_s)

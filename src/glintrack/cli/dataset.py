@@ -15,6 +15,7 @@ from glintrack.cli.options import (
     make_table,
     open_console,
     option,
+    show_waiting,
 )
 from glintrack.dataset import BASELINES, SCORES, build_dataset, plan_dataset, score_baselines
 
@@ -78,7 +79,7 @@ def baseline(
 ) -> None:
     """Score our detectors and classical ones with our tracker: means over a split."""
     console = open_console()
-    with console.status("tracking …"):
+    with show_waiting(console, "tracking"):
         found = score_baselines(dataset, split, BASELINES, allow_outside_paths)
     rows = []
     for line, scores in found.items():

@@ -1,6 +1,8 @@
 """Options, consoles, tables and progress bars that commands share."""
 
-from collections.abc import Iterable, Sequence
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,9 +10,19 @@ import typer
 import typer.core
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
+from glintrack.core.progress import listen
+from glintrack.core.units import format_duration
 from glintrack.io.readings import Reading
 from glintrack.io.untrusted import plain
 
@@ -20,6 +32,7 @@ STYLE: dict = {
     "rich_markup_mode": "markdown",  # units in brackets, as [m], are markup to "rich" and would vanish
 }
 Area = tuple[float, float, float, float]  # west, south, east, north
+LINE_S = 10.0  # between two lines of progress where the output is no terminal
 BAR_WIDTH = 10  # characters of a progress bar; with its texts it fits into 80 columns
 EXIT_CODES = {"no": 1, "undecided": 3}  # of a requirement that is not met
 
@@ -100,7 +113,9 @@ def print_readings(console: Console, readings: Iterable[Reading]) -> None:
 
 
 class Bar(Progress):
-    """Progress bar on a terminal; elsewhere a line for each tenth of the work.
+    """Progress bar on a terminal; elsewhere a line every `LINE_S` seconds if it has changed.
+
+    Steps of the library (`core.progress.step`) follow the description of the last task.
 
     Parameters
     ----------
@@ -113,23 +128,65 @@ class Bar(Progress):
     def __init__(self, console: Console, *columns: ProgressColumn, transient: bool = False):
         shown = columns or (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
         super().__init__(*shown, console=console, transient=transient, disable=not console.is_terminal)
-        self._tenths: dict[TaskID, int] = {}
+        self._described: dict[TaskID, str] = {}
+        self._step, self._line = "", ""
+        self._stopped, self._exit = threading.Event(), ExitStack()
 
-    def add_task(self, description: str, *args: Any, **options: Any) -> TaskID:
-        """Add a task; see `rich.progress.Progress.add_task`."""
+    def start(self) -> None:
+        """Show the bar, or begin to print lines, and listen to the steps of the library."""
+        super().start()
+        self._exit.enter_context(listen(self._show_step))
         if self.disable:
+            printer = threading.Thread(target=self._print_lines, daemon=True)
+            printer.start()
+            self._exit.callback(printer.join)
+            self._exit.callback(self._stopped.set)
+
+    def stop(self) -> None:
+        """Remove or leave the bar."""
+        self._exit.close()
+        super().stop()
+
+    def add_task(self, description: str, *args: Any, announce: bool = True, **options: Any) -> TaskID:
+        """Add a task; see `rich.progress.Progress.add_task`. Without a terminal its first line is printed."""
+        task_id = super().add_task(description, *args, **options)
+        self._described[task_id] = description
+        if self.disable and announce:
             self.console.print(description, markup=False, soft_wrap=True)
-        return super().add_task(description, *args, **options)
+            self._line = description
+        return task_id
 
     def update(self, task_id: TaskID, **changes: Any) -> None:
         """Update a task; its field ``left`` ends its line where the bar is a line."""
+        if "description" in changes:
+            self._described[task_id] = changes["description"]
+        changes["description"] = ": ".join(filter(None, (self._described[task_id], self._step)))
         super().update(task_id, **changes)
-        task = next(task for task in self.tasks if task.id == task_id)
-        tenths = int(10 * task.completed / task.total + 1e-9) if task.total else 0
-        if self.disable and tenths > self._tenths.get(task_id, 0):
-            self._tenths[task_id] = tenths
-            texts = (task.description, f"{10 * tenths} %", task.fields.get("left"))
-            self.console.print(", ".join(filter(None, texts)), markup=False, soft_wrap=True)
+
+    def _show_step(self, text: str) -> None:
+        self._step = text
+        for task_id in self.task_ids[-1:]:
+            self.update(task_id)
+
+    def _print_lines(self) -> None:
+        while not self._stopped.wait(LINE_S):
+            for task in self.tasks[-1:]:
+                done = f"{100 * task.completed / task.total:.0f} %" if task.total and task.completed else ""
+                counted = f"{task.completed:.0f} done" if task.completed and not task.total else ""
+                spent = "" if done else f"after {format_duration(task.elapsed or 0.0)}"
+                texts = (task.description, done, counted, task.fields.get("left"), spent)
+                line = ", ".join(filter(None, texts))
+                if line != self._line:
+                    self.console.print(line, markup=False, soft_wrap=True)
+                self._line = line
+
+
+@contextmanager
+def show_waiting(console: Console, description: str) -> Iterator[None]:
+    """Show that something of unknown length is done; without a terminal a line from `LINE_S` seconds on."""
+    with Bar(console, TextColumn("{task.description} …"), TimeElapsedColumn(), transient=True) as bar:
+        bar.add_task(description, total=None, announce=False)
+        yield
 
 
 def check_output(path: Path, *suffixes: str, option: str = "output") -> None:

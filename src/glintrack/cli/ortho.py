@@ -5,7 +5,15 @@ from typing import Annotated, Literal
 
 import pyproj
 
-from glintrack.cli.options import Area, argument, check_output, command_app, open_console, option
+from glintrack.cli.options import (
+    Area,
+    argument,
+    check_output,
+    command_app,
+    open_console,
+    option,
+    show_waiting,
+)
 from glintrack.io.atomic import check_new
 from glintrack.ortho.photograph import rectify
 
@@ -35,7 +43,7 @@ def ortho(
     check_output(output, ".tif", ".tiff", ".nc")
     check_new(output)
     console = open_console()
-    with console.status("rectifying …"):
+    with show_waiting(console, "rectifying"):
         found = rectify(
             frame,
             camera,

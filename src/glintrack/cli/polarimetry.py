@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 
 import numpy as np
 import xarray as xr
-from rich.progress import track as progress
 
 from glintrack.cli.options import argument, command_app, open_console, option
 from glintrack.core.arrays import Array
@@ -60,7 +59,7 @@ def polarimetry(
     folder = atomic.ResultFolder(output)
     first: Array | None = None
     try:
-        for k, path in enumerate(progress(files, "measuring", console=console, transient=True)):
+        for k, path in enumerate(files):
             counts = read_raw(path)
             first = counts if first is None else first
             _check_same_camera(counts, first, path, files[0])

@@ -3,9 +3,8 @@
 from pathlib import Path
 from typing import Annotated
 
-from rich.progress import track as progress
-
 from glintrack.cli.options import (
+    Bar,
     BaseOption,
     ResultArgument,
     argument,
@@ -42,8 +41,9 @@ def report(
     (result,), console = results, open_console()
     if is_study(result):
         cases = sorted(p for p in (result / "cases").glob("[!.]*") if (p / "result.nc").is_file())
-        for case in progress(cases, "pages of runs") if runs else ():
-            atomic.write_text(case / RUN_PAGE, build_page(read_result(case), base))
+        with Bar(console) as bar:
+            for case in bar.track(cases, description="pages of runs") if runs else ():
+                atomic.write_text(case / RUN_PAGE, build_page(read_result(case), base))
         atomic.write_text(output, build_study_page(result, output.parent))
         console.print(f"wrote {output}: links lead to {result / 'cases'}")
         return
@@ -90,5 +90,7 @@ def video(
     found, console = read_result(result), open_console()
     film = Composite.of(found, tuple(pictures.split(",")) if pictures is not None else (), channel, width)
     print_notes(console, found.notes)
-    write_video(output, (film.draw(k) for k in progress(range(len(film)), "drawing")), film.rate_hz * speed)
+    with Bar(console) as bar:
+        pictures_drawn = map(film.draw, bar.track(range(len(film)), description="drawing"))
+        write_video(output, pictures_drawn, film.rate_hz * speed)
     console.print(f"wrote {output}: {len(film)} frame{'s' if len(film) > 1 else ''}")

@@ -44,7 +44,7 @@ from glintrack.results.epoch import Epoch
 from glintrack.results.figures import LOOP_COLOURS
 from glintrack.results.read import Result, score_text
 from glintrack.results.recorder import FlightPace
-from glintrack.results.run import WARM_UP_STEPS, compile_kernels
+from glintrack.results.run import KERNELS, compile_kernels
 from glintrack.results.run import run as run_case
 from glintrack.results.verdict import (
     CHANNEL_WORDS,
@@ -127,7 +127,7 @@ def run(
     )
     pace, last = FlightPace(design.flight.frames), design.channels[-1]
     with Bar(console, *columns) as progress:
-        task = progress.add_task(f"{design.name}: building", total=design.flight.frames, left="")
+        task = progress.add_task(design.name, total=design.flight.frames, left="")
 
         def show(epoch: Epoch) -> None:
             window[:] = [epoch.city.extent_m]
@@ -244,14 +244,18 @@ def warm_up() -> None:
 
 def _show_warm_up(console: Console) -> None:
     """Compile all kernels with a progress bar, and note that they are compiled."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(BAR_WIDTH),
-        TextColumn("{task.fields[kernels]} kernels"),
-    )
+    columns = TextColumn("{task.description}"), BarColumn(BAR_WIDTH), TextColumn("{task.fields[left]}")
     with Bar(console, *columns) as progress:
-        task = progress.add_task(
-            "compiling kernels, once after an installation", total=WARM_UP_STEPS, kernels=0
-        )
-        compile_kernels(lambda epoch: progress.update(task, advance=1, kernels=compilation.kernels))
+        task = progress.add_task("compiling kernels, once after an installation", total=KERNELS, left="")
+
+        def show(count: int) -> None:
+            left = f"{count} of {max(count, KERNELS)} kernels"
+            progress.update(task, completed=min(count, KERNELS), left=left)
+
+        compilation.on_kernel = show
+        try:
+            compile_kernels()
+        finally:
+            compilation.on_kernel = lambda count: None
+        progress.update(task, completed=KERNELS)
     mark_complete()

@@ -8,7 +8,15 @@ import numpy as np
 from rich.console import Console
 
 from glintrack.case.design import read_table
-from glintrack.cli.options import argument, check_output, command_app, make_table, open_console, option
+from glintrack.cli.options import (
+    argument,
+    check_output,
+    command_app,
+    make_table,
+    open_console,
+    option,
+    show_waiting,
+)
 from glintrack.core.designs import validate_design
 from glintrack.io import atomic, images
 from glintrack.io.toml import to_toml
@@ -148,7 +156,7 @@ def traffic(
     }
     table = _design(scene).model_dump() | {k: v for k, v in given.items() if v is not None}
     console = open_console()
-    with console.status("simulating traffic …"):
+    with show_waiting(console, "simulating traffic"):
         recording = record_traffic(validate_design(SceneDesign, table))
     if recording.traffic.first.size == 0:
         raise ValueError("`traffic` must hold at least one vehicle in the scene's window, got none")
@@ -191,7 +199,7 @@ def _design(name: str) -> SceneDesign:
 
 def _build(design: SceneDesign, console: Console) -> City:
     started = time.perf_counter()
-    with console.status("building the city …"):
+    with show_waiting(console, "building the city"):
         city = build_scene(design)
     console.print(f"built in {time.perf_counter() - started:.1f} s")
     return city

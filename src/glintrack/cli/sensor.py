@@ -17,6 +17,7 @@ from glintrack.cli.options import (
     make_table,
     open_console,
     option,
+    show_waiting,
 )
 from glintrack.core.designs import validate_design
 from glintrack.core.spectral import wavelength_grid
@@ -87,7 +88,7 @@ def lens(
     for name, path, _ in wanted:
         check_output(path, ".png", option=name)
     design, console = read_lens(prescription), open_console()
-    with console.status("tracing …"):
+    with show_waiting(console, "tracing"):
         quality = lens_quality(design)
     rows = []
     for i, (x, y) in enumerate(design.fields_mm):
@@ -125,7 +126,7 @@ def list_ghosts(
         raise ValueError(f"`--pitch-um` must be above 0 and at most 1e6, got {pitch_um:g}")
     if window_mm:
         design = with_window(design, window_mm, gap_mm, reflectance=coating)
-    with console.status("tracing …"):
+    with show_waiting(console, "tracing"):
         found = ghosts(design, field, image_reflectance=detector, object_reflectance=imaged)
     last = len(design.surfaces) + 1
     names = {0: "object", last: "image"} | {k: f"surface {k}" for k in range(1, last)}
@@ -152,9 +153,9 @@ def expose_frame(
             check_output(path, suffix, option=name)
     design = Case.from_toml(find_case(case))
     console = open_console()
-    with console.status("building the city and tracing …"):
+    with show_waiting(console, "tracing a frame"):
         view = trace_frame(design, frame)
-    with console.status("exposing …"):
+    with show_waiting(console, "exposing"):
         found = expose_view(design, view)
     exposed = found.frame
     camera_path, pose_path = output.with_suffix(".camera.toml"), output.with_suffix(".pose.toml")

@@ -9,10 +9,9 @@ from typing import Annotated
 import numpy as np
 import xarray as xr
 from rich.console import Console
-from rich.progress import track as progress
 
 from glintrack.case.design import over_like
-from glintrack.cli.options import Area, argument, command_app, open_console, option
+from glintrack.cli.options import Area, Bar, argument, command_app, open_console, option, show_waiting
 from glintrack.io import atomic
 from glintrack.io.crs import metric_crs, warn_off_map
 from glintrack.io.detections import DetectionTable, read_detections, read_truth
@@ -72,7 +71,8 @@ def track_files(
         table = read_detections(source, sigma_m, chosen)
         wanted = DETECTIONS_DESIGN.replace(changes)
         wanted = strict_design(wanted) if strict else wanted
-        tracked = track_detections(table, wanted, area)
+        with show_waiting(console, "tracking"):
+            tracked = track_detections(table, wanted, area)
         box = " ".join(f"{v:.0f}" for v in tracked.area_m)
         count = len(table.time_s)
         report_reading(
@@ -98,7 +98,8 @@ def track_files(
             )
         first = list(next(((one,) for one in frames.frames), ()))
         reports = track_frames(chain(first, frames.frames), wanted)
-        reports = list(progress(reports, "tracking", frames.count, console=console, transient=True))
+        with Bar(console, transient=True) as bar:
+            reports = list(bar.track(reports, frames.count, description="tracking"))
         rows, times_s = as_rows(reports), sorted({time_s for time_s, _ in reports})
         if wanted.detect.detector == FRAMES_DESIGN.detect.detector and len(times_s) < MIN_FRAMES:
             raise ValueError(

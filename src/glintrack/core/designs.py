@@ -16,7 +16,7 @@ from typing import Any, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 from pydantic_core import PydanticKnownError
 
-from glintrack.core.units import unit_of
+from glintrack.core.units import decimal_comma_hint, unit_of
 
 Model = TypeVar("Model", bound=BaseModel)
 MAX_DEPTH = 64  # of nested tables, and of dotted keys
@@ -248,7 +248,7 @@ def _sentence(error, model: type[BaseModel]) -> str:
             requirement, got = f"{requirement} {unit}", f"{got} {unit}"
         elif kind.startswith(("float_", "int_")):
             requirement = f"{requirement} in {unit}"
-    return f"`{key}` must be {requirement}, got {got}"
+    return f"`{key}` must be {requirement}, got {got}{decimal_comma_hint(error['input'])}"
 
 
 def _shorten(text: str, length: int = 100) -> str:

@@ -28,11 +28,13 @@ _alone: ContextVar[bool] = ContextVar("alone", default=False)  # within `one_thr
 class CompilationClock(event.Listener):
     """Number of kernels that this process compiled, and the wall time it took.
 
-    A kernel that another one calls is counted too; its time is part of the caller's.
+    A kernel that another one calls is counted too; its time is part of the caller's. ``on_kernel`` is called
+    with the number after each one, in the thread that compiled it.
     """
 
     def __init__(self) -> None:
         self.kernels = 0
+        self.on_kernel: Callable[[int], None] = lambda count: None
         self._lock, self._depth, self._since, self._before = threading.Lock(), 0, 0.0, 0.0
 
     @property
@@ -55,6 +57,7 @@ class CompilationClock(event.Listener):
             self._depth -= 1
             if self._depth == 0:
                 self._before += time.perf_counter() - self._since
+        self.on_kernel(self.kernels)
 
 
 compilation = CompilationClock()

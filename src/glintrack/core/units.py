@@ -1,4 +1,8 @@
-"""Unit of a key of a design, from the ending of its name."""
+"""Unit of a key of a design, from the ending of its name; times and numbers as people write them."""
+
+import re
+
+_DECIMAL_COMMA = re.compile(r"\s*([-+]?\d+),(\d+)\s*")
 
 _UNITS = {
     "_m_s2": "m/s²",
@@ -37,3 +41,9 @@ def format_duration(seconds: float) -> str:
     if seconds < 90:
         return f"{max(round(seconds, -1), 10):.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def decimal_comma_hint(value: object) -> str:
+    """Remedy for a number with a decimal comma, such as " (write 3.45)"; empty for anything else."""
+    found = _DECIMAL_COMMA.fullmatch(value) if isinstance(value, str) else None
+    return f" (write {found[1]}.{found[2]}, with a point)" if found else ""

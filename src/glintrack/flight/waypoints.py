@@ -15,7 +15,7 @@ from defusedxml.ElementTree import fromstring
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.io.crs import change_crs
+from glintrack.io.crs import change_crs, check_not_exchanged
 from glintrack.io.tables import read_csv
 from glintrack.io.untrusted import plain, read_text
 
@@ -134,6 +134,9 @@ def read_waypoints(
             raise ValueError(
                 "`waypoint_file` must be in east_m, north_m, up_m over a scene without a CRS, got longitudes"
             )
+        if len(degrees):
+            longitude_deg, latitude_deg, _ = np.median(degrees, axis=0).tolist()
+            check_not_exchanged(crs, longitude_deg, latitude_deg, "waypoint_file")
         project = change_crs("EPSG:4326", crs)
         x, y = project.transform(degrees[:, 0], degrees[:, 1])
         enu = np.stack([np.subtract(x, origin_m[0]), np.subtract(y, origin_m[1]), degrees[:, 2] - datum], -1)

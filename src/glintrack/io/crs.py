@@ -101,6 +101,16 @@ def warn_off_map(crs: pyproj.CRS, east_m: float, north_m: float) -> None:
         )
 
 
+def check_not_exchanged(crs: Any, longitude_deg: float, latitude_deg: float, name: str) -> None:
+    """Refuse a place off the map of a CRS that is on it with longitude and latitude exchanged."""
+    found = pyproj.CRS.from_user_input(crs)
+    if not _is_on_map(found, longitude_deg, latitude_deg) and _is_on_map(found, latitude_deg, longitude_deg):
+        raise ValueError(
+            f"`{name}` must lie where {found.name} is made for; got longitude {longitude_deg:.4f}° and "
+            f"latitude {latitude_deg:.4f}°. They are probably exchanged."
+        )
+
+
 def _is_on_map(crs: pyproj.CRS, longitude_deg: float, latitude_deg: float) -> bool:
     """Return True if a position is in the area of use of a CRS, or that is unknown."""
     if crs.area_of_use is None:

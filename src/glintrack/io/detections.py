@@ -13,6 +13,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
+from glintrack.core.units import decimal_comma_hint
 from glintrack.io.tables import read_csv
 from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M
 
@@ -197,6 +198,9 @@ def _column_remedy(missing: Sequence[str], present: Sequence[str]) -> str:
     """Remedy for columns of other names, other separators, or degrees; may be empty."""
     if len(present) == 1 and any(sign in present[0] for sign in ";\t|"):
         return "; separate the columns by commas"
+    ids = {"track_id", "vehicle_id"}
+    if len(ids & {*missing}) == len(ids & {*present}) == 1:
+        return "; are tracks and truth exchanged? The tracks come first"
     lower = {name.strip().lower(): name for name in present}
     if any(name.startswith(("lon", "lat")) for name in lower):
         return "; project them into metres first"
@@ -236,8 +240,8 @@ def _numbers(table: pd.DataFrame, path: Path, columns: tuple[str, ...]) -> Float
         words = np.flatnonzero(np.isnan(numbers) & table[column].notna().to_numpy())
         if words.size:
             row = int(words[0])
-            found = _shorten(repr(table[column].iloc[row]))
-            raise ValueError(f"`{column}` must hold numbers, got {found} in row {row + 2} of {path}")
+            found, remedy = _shorten(repr(cell := table[column].iloc[row])), decimal_comma_hint(cell)
+            raise ValueError(f"`{column}` must hold numbers, got {found} in row {row + 2} of {path}{remedy}")
         out[:, k] = numbers
     return out
 

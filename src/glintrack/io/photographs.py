@@ -26,7 +26,7 @@ from glintrack.camera import Camera, Pose, from_omega_phi_kappa
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design, types_of, validate_design
 from glintrack.core.distortion import Distortion
-from glintrack.io.crs import change_crs, metric_crs, warn_off_map
+from glintrack.io.crs import change_crs, check_not_exchanged, metric_crs, warn_off_map
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.io.untrusted import check_heights, open_raster
@@ -227,6 +227,7 @@ def read_pose(path: Path, frame_name: str) -> PlacedPose:
     if file.easting_m is not None and file.northing_m is not None:
         x, y = file.easting_m, file.northing_m
     else:
+        check_not_exchanged(crs, file.longitude_deg or 0.0, file.latitude_deg or 0.0, "pose")
         x, y = to_crs.transform(file.longitude_deg, file.latitude_deg)
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ValueError(f"`pose` must lie within {crs.name}, got {file.longitude_deg}, {file.latitude_deg}")

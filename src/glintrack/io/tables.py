@@ -84,6 +84,8 @@ def read_csv(
         reason = plain(str(error).strip().splitlines()[-1], 200)
         if separator == "," and b";" in header:
             reason = "its columns are separated by semicolons (use commas, and points in numbers)"
+        elif "saw" in reason or "not match length of data" in reason:
+            reason += " (a row has more cells than the header: write numbers with points, not commas)"
         raise ValueError(f"`{name}` must be a CSV file in UTF-8, got {path}: {reason}") from error
     table.columns = [str(column).strip() for column in table.columns]
     return table.fillna("") if types is str else table

@@ -1,5 +1,6 @@
 """TOML in and out: cases, designs and provenance."""
 
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,8 +10,10 @@ import tomli_w
 from pydantic import BaseModel
 
 from glintrack.core.designs import MAX_DEPTH
+from glintrack.core.units import decimal_comma_hint
 from glintrack.io.untrusted import plain, read_text
 
+_DECIMAL_COMMA = re.compile(r"^\s*([\w.]+)\s*=\s*([-+]?\d+,\d+)\s*(?:#.*)?$", re.MULTILINE)
 _MAX_BYTES = 2_000_000  # a study that lists 50,000 cases is smaller
 
 
@@ -26,7 +29,9 @@ def read_toml(path: str | Path, name: str) -> dict[str, Any]:
     try:
         values = tomllib.loads(text)
     except ValueError as error:  # of numbers of more than 4300 digits too, which are no fault of the format
-        raise ValueError(f"`{name}` must be valid TOML, got {path}: {plain(error, 200)}") from error
+        found = _DECIMAL_COMMA.search(text)
+        remedy = f": {found[1]} = {plain(found[2], 40)}{decimal_comma_hint(found[2])}" if found else ""
+        raise ValueError(f"`{name}` must be valid TOML, got {path}: {plain(error, 200)}{remedy}") from error
     except RecursionError as error:
         raise ValueError(f"`{name}` must be valid TOML, got {path}, nested too deeply") from error
     if _is_deep(values):

@@ -24,6 +24,7 @@ from jaxtyping import Float
 
 from glintrack.core.arrays import Array
 from glintrack.core.installation import MissingExtraError, missing_extra
+from glintrack.core.progress import step
 from glintrack.io.atomic import content_hash, write_bytes
 from glintrack.io.untrusted import MAX_COORDINATE_M, read_bytes
 from glintrack.scene.objects.surfaces import Lane, LaneKind, RoadNetwork
@@ -275,7 +276,8 @@ def load_or_simulate(run: SumoRun) -> Recording:
     with tempfile.TemporaryDirectory(prefix="glintrack-traffic-") as scratch:
         fresh = Path(scratch) / "recording.nc"
         attributes = {"title": "glintrack traffic cache", "source": "Eclipse SUMO"}
-        write_recording(fresh, simulate_traffic(run), attributes)
+        with step("running SUMO"):
+            write_recording(fresh, simulate_traffic(run), attributes)
         content = fresh.read_bytes()
         try:
             folder.mkdir(parents=True, exist_ok=True)
