@@ -49,7 +49,13 @@ def test_the_papers_grids_come_per_aperture():
     assert sensor.electrons_per_reading[0, 1] / sensor.electrons_per_radiance == pytest.approx(
         wanted, rel=1e-6
     )
-    half = sensor_of(polarizer="grid_a", quantum_efficiency=1.0, optics_transmission=1.0, fill_factor=0.5)
+    half = sensor_of(
+        polarizer="grid_a",
+        quantum_efficiency=1.0,
+        optics_transmission=1.0,
+        fill_factor=0.5,
+        integration_time_ms=sensor.design.integration_time_ms,
+    )
     # once, on every element alike
     np.testing.assert_allclose(half.electrons_per_reading / sensor.electrons_per_reading, 0.5)
 

@@ -1,8 +1,10 @@
 """``glintrack case``: list cases, check one, and print the meaning of its keys."""
 
 import json
+import re
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 from rich.box import SIMPLE
@@ -12,6 +14,7 @@ from rich.text import Text
 
 from glintrack.case.build import check_place
 from glintrack.case.check import assess
+from glintrack.case.data_sheet import DataSheet, Polarizers, case_text
 from glintrack.case.design import Case
 from glintrack.case.fitted_range import describe_initiation, tracker_notes
 from glintrack.case.packaged import find_case, list_cases, list_studies
@@ -19,6 +22,7 @@ from glintrack.cli.options import (
     CaseArgument,
     OutsidePathsOption,
     argument,
+    check_output,
     command_app,
     make_table,
     open_console,
@@ -27,12 +31,14 @@ from glintrack.cli.options import (
 )
 from glintrack.core.designs import Key, keys_of, suggest_name, tables_of
 from glintrack.flight import check_recorded, check_waypoints
+from glintrack.io.atomic import write_text
 from glintrack.scene import build_scene
 from glintrack.sensor import build_sensor
+from glintrack.sensor.derivation import derived_values
 
 _FILE_WIDTH = 160  # of tables that go into a file [character]
 _TOP = "case"  # keys in no table
-app = command_app("List the packaged cases, check a case file, or print its keys.")
+app = command_app("Make a case from a data sheet, check a case file, list cases, or print the keys.")
 
 
 @app.command("list")
@@ -66,9 +72,41 @@ def check(case: CaseArgument, allow_outside_paths: OutsidePathsOption = False) -
     )
     for line in (
         *(f"  {line}" for line in [*about.lines(), describe_initiation(design)]),
+        *(f"  derived: {value}" for value in derived_values(design.sensor)),
         *(f"warning: {one}" for one in [*about.of_sensor, *about.of_flight, *tracker_notes(design)]),
     ):
         console.print(line)
+
+
+@app.command()
+def new(
+    file: Annotated[Path, argument("Case file to write, .toml; it must not exist")],
+    altitude: Annotated[float, option("Height of the lens above the ground [m]")],
+    rate: Annotated[float, option("Frame rate [Hz]")],
+    pixels: Annotated[str | None, option("Size of the array", metavar="COLUMNSxROWS")] = None,
+    pitch: Annotated[float | None, option("Spacing of the elements [µm]")] = None,
+    focal_length: Annotated[float | None, option("Focal length [mm]")] = None,
+    f_number: Annotated[float | None, option("F-number [default: 5.6]")] = None,
+    off_nadir: Annotated[float, option("Angle of the line of sight from nadir [°]")] = 0.0,
+    polarizers: Annotated[Polarizers | None, option("Mosaic on the array [default: none]")] = None,
+    sensor: Annotated[str, option("Detector of `glintrack sensor list`, in place of --pixels, --pitch")] = "",
+    lens: Annotated[str, option("Lens of `glintrack sensor list`, in place of --focal-length")] = "",
+) -> None:
+    """Write a case from the data sheet of a camera; what the sheet leaves out is derived and stated."""
+    check_output(file, ".toml", option="file")
+    if file.exists():
+        raise ValueError(f"`file` must not exist yet, got {file}")
+    size = re.fullmatch(r"(\d{1,6})[x×](\d{1,6})", pixels or "1x1")
+    if size is None:
+        raise ValueError(f"`--pixels` must be COLUMNSxROWS, as 2048x2048, got {pixels}")
+    if not 0 < rate <= 1000:
+        raise ValueError(f"`--rate` must be above 0 and at most 1000 Hz, got {rate:g}")
+    columns, rows = map(int, size.groups()) if pixels else (None, None)
+    array = {"columns": columns, "rows": rows, "pitch_um": pitch, "focal_length_mm": focal_length}
+    names = {"detector": sensor, "lens": lens}
+    sheet = DataSheet(altitude, off_nadir, rate, **array, f_number=f_number, polarizers=polarizers, **names)
+    write_text(file, case_text(sheet, file.stem))
+    print(f"wrote {file}; `glintrack case check {file}` judges it, `glintrack run {file}` simulates it")
 
 
 @app.command()

@@ -34,18 +34,22 @@ from glintrack.sensor import (
     read_lens,
     with_window,
 )
+from glintrack.sensor.catalogue import electrons_of, read_catalogue
+from glintrack.sensor.derivation import derived_values
 from glintrack.sensor.ghosts import SILICON
 from glintrack.sensor.sensor import summary
 from glintrack.sensor.wavefront import transfer_curves
 from glintrack.stokes import dolp
 
 app = command_app("Describe a sensor or a lens, or expose one frame with a sensor.")
+_ELECTRONS = ("full_well_e", "read_noise_e")
+_LENS_FIGURES = ("focal_length_mm", "f_number", "image_circle_mm")
 PrescriptionArgument = Annotated[str, argument("relay, spectrometer, or a TOML file of a lens")]
 
 
 @app.command("list")
 def list_designs() -> None:
-    """List the packaged sensors, with their elements and superpixels."""
+    """List the packaged sensors, and the real detector arrays and lenses of the catalogue."""
     rows = []
     for name in design_names():
         d = validate_design(SensorDesign, {"ready": name})
@@ -53,7 +57,21 @@ def list_designs() -> None:
         polarizer = d.polarizer if d.has_stokes else "none"
         rows.append([name, f"{d.columns} × {d.rows}", *numbers, str(d.layout), polarizer])
     headings = ("name", "elements", "pitch µm", "focal length mm", "F", "superpixel", "polarizer")
-    open_console().print(make_table("packaged sensors", headings, rows, left=len(headings)))
+    console = open_console()
+    console.print(make_table("packaged sensors", headings, rows, left=len(headings)))
+    rows = []
+    for item in read_catalogue("detectors").values():
+        electrons, figures = electrons_of(item), item.figures
+        mark = " assumed" if "assumed" in item.sources.values() else ""
+        cells = (f"{electrons[k]:,g}{mark}" if k in electrons else "derived" for k in _ELECTRONS)
+        size = f"{figures['columns']} × {figures['rows']}"
+        rows.append([item.name, item.title, size, f"{figures['pitch_um']:g}", *cells])
+    headings = ("--sensor", "detector", "elements", "pitch µm", "full well e", "read noise e")
+    console.print(make_table("detectors for glintrack case new", headings, rows, left=3))
+    lenses = read_catalogue("lenses").values()
+    rows = [[item.name, item.title, *(f"{item.figures[key]:g}" for key in _LENS_FIGURES)] for item in lenses]
+    headings = ("--lens", "lens", "focal length mm", "smallest F", "image circle mm")
+    console.print(make_table("lenses for glintrack case new", headings, rows, left=2))
 
 
 @app.command()
@@ -69,6 +87,8 @@ def show(
     sensor = build_sensor(found, wavelength_grid(0.4, max(math.ceil(longest * 100 - 1e-6) / 100, 0.5)))
     console = open_console()
     console.print(make_table("sensor", (), summary(sensor)))
+    for value in derived_values(found):
+        console.print(f"derived: {value}")
     if mtf is not None:
         figure = Figure(figsize=(7, 4.5), layout="constrained")
         draw_transfer(figure.subplots(), transfer_curves(sensor.design))

@@ -104,7 +104,7 @@ def validate_design(model: type[Model], values: Mapping[str, Any]) -> Model:
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
     """Describe the errors of a validation, one sentence on each line."""
     sentences: dict[tuple, str] = {}
-    errors = error.errors(include_url=False)
+    errors = [one for one in error.errors(include_url=False) if one["type"] != "default_factory_not_called"]
     for one in errors[:_MAX_READ]:
         # a value that fits none of several types is one error, not one for each type
         sentences.setdefault(_key_path(model, one["loc"]), _suggest_choice(_sentence(one, model)))

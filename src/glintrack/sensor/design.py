@@ -14,6 +14,7 @@ from glintrack.core.designs import Design
 from glintrack.core.distortion import Distortion
 from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, check_band
 from glintrack.io.untrusted import resolve_path
+from glintrack.sensor import derivation as derive
 from glintrack.sensor.layouts import MIRROR, Demosaicker, Superpixel, check_demosaicker, places, superpixel
 
 _FOLDER = resources.files("glintrack") / "data" / "sensors"
@@ -103,14 +104,13 @@ class SensorDesign(Design):
     """Array, lens, polarizers, exposure and spectrometer; the ``[sensor]`` table of a case.
 
     The default is the paper's standard frame: 880 × 560 elements of 0.75 m at 3000 m slant range.
+    A key that is derived follows from the others if it is left out, by the laws of `sensor.derivation`.
     """
 
     ready: str = Field(default="", description="Ready design to start from (`glintrack sensor list`)")
     focal_length_mm: float = Field(default=68.0, gt=0, le=5000, description="Principal distance")
     f_number: float = Field(default=5.6, ge=0.5, le=64, description="Focal ratio")
     optics: OpticsDesign = OpticsDesign()
-    spot_sigma_um: float = Field(default=12.0, ge=0, le=200)
-    """Standard deviation of a Gaussian blur for all aberrations that are not given as Zernike terms."""
     optics_transmission: float = Field(default=0.85, gt=0, le=1)
     """Transmittance of the optics."""
     pitch_um: float = Field(default=17.0, ge=1, le=100)
@@ -140,15 +140,18 @@ class SensorDesign(Design):
     """CSV file (wavelength_um, response) that multiplies the band's filter."""
     quantum_efficiency: Share | str = 0.6
     """Over the whole band, or silicon, or a CSV file (wavelength_um, efficiency)."""
-    integration_time_ms: float = Field(default=0.085, gt=0, le=1000, description="Exposure of a frame")
-    auto_exposure: AutoExposure = AutoExposure()
+    spot_sigma_um: float = Field(default_factory=derive.spot_sigma, ge=0, le=200)
+    """Standard deviation of a Gaussian blur for all aberrations not given as Zernike terms; derived."""
+    full_well_e: float = Field(default_factory=derive.full_well, gt=0, le=1e12)
+    """Electrons an element can hold; derived."""
     clock_hz: float = Field(default=10.0, gt=0, le=1e4, description="Highest frame rate of the sensor")
-    full_well_e: float = Field(default=267e3, gt=0, le=1e12)
-    """Electrons an element can hold; the default is the IMX250MZR's per area on 17 µm."""
+    integration_time_ms: float = Field(default_factory=derive.integration_time, gt=0, le=1000)
+    """Exposure of a frame; derived: white paint in sunlight half fills the well."""
+    auto_exposure: AutoExposure = AutoExposure()
     gain_e_per_count: float | None = Field(default=None, gt=0, le=1e9)
     """Electrons a count; the full well over all counts if left out."""
     bits: int = Field(default=14, ge=1, le=24, description="Of the quantizer")
-    read_noise_e: float = Field(default=20.0, ge=0, le=1e6, description="RMS electrons a read")
+    read_noise_e: float = Field(default_factory=derive.read_noise, ge=0, le=1e6, description="RMS; derived")
     dark_current_e_per_s: float = Field(default=0.0, ge=0, le=1e9, description="Mean over the elements")
     prnu: float = Field(default=0.0, ge=0, le=0.5, description="RMS of the elements' relative gains")
     dsnu_e: float = Field(default=0.0, ge=0, le=1e6)
@@ -178,6 +181,8 @@ class SensorDesign(Design):
         if not isinstance(values, dict) or not values.get("ready"):
             return values
         base = design_keys(str(values["ready"]))
+        if values.get("pitch_um", base.get("pitch_um")) != base.get("pitch_um"):
+            base = {key: v for key, v in base.items() if key not in derive.ORIGINS}  # those of another pitch
         both = {**base, **values}
         if isinstance(base.get("optics"), dict) and isinstance(values.get("optics"), dict):
             both["optics"] = {**base["optics"], **values["optics"]}
@@ -243,7 +248,8 @@ class SensorDesign(Design):
         if not self.ready:
             return values
         own = SensorDesign(ready=self.ready)
-        return {name: v for name, v in values.items() if name == "ready" or v != getattr(own, name)}
+        kept = {"ready", *(derive.ORIGINS if self.pitch_um != own.pitch_um else ())}
+        return {name: v for name, v in values.items() if name in kept or v != getattr(own, name)}
 
     @property
     def superpixel(self) -> Superpixel:

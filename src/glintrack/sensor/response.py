@@ -4,7 +4,6 @@ Electrons ∝ ∫ λ·QE·τ·T·L dλ: photons, not energy, weigh the mean.
 """
 
 import math
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from scipy.constants import c, h
 from glintrack.core.arrays import Array
 from glintrack.core.spectral import band_response, channel_weights, quadrature_weights, resample
 from glintrack.devices.optical_constants import read_spectra
+from glintrack.sensor.derivation import SILICON, am15g_light
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
 
@@ -26,8 +26,7 @@ def element_response(
     response = band_response(*design.band_um, wavelength_um)
     efficiency = design.quantum_efficiency
     if isinstance(efficiency, str):
-        packaged = str(resources.files("glintrack") / "data" / "sensors" / "silicon.csv")
-        name = packaged if efficiency == "silicon" else efficiency
+        name = SILICON if efficiency == "silicon" else efficiency
         efficiency = _curve(name, "efficiency", wavelength_um, "sensor.quantum_efficiency")
     response = response * efficiency * design.optics_transmission
     if design.response is not None:
@@ -66,10 +65,7 @@ def reference_light(
     if name == "flat":
         return np.ones(len(wavelength_um))
     if name == "am15g":
-        import pvlib  # takes a tenth of a second
-
-        table = pvlib.spectrum.get_reference_spectra(standard="ASTM G173-03")["global"]
-        return np.interp(wavelength_um, table.index.to_numpy(dtype=float) * 1e-3, table.to_numpy(dtype=float))
+        return am15g_light(wavelength_um)
     return _curve(name, "radiance", wavelength_um, "sensor.reference_spectrum")
 
 

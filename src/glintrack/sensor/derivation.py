@@ -1,0 +1,137 @@
+"""Derive spot, full well, read noise and exposure from the figures of a data sheet.
+
+A case may leave these keys out. Each law passes through the default sensor (elements of 17 µm behind F/5.6),
+so that sensor keeps its values and another pitch, F-number or band gets its own.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from glintrack.core.arrays import Array
+from glintrack.core.designs import Design
+from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM
+from glintrack.core.units import unit_of
+from glintrack.devices.optical_constants import read_spectra
+from glintrack.sensor.layouts import LAYOUTS
+
+SILICON = str(resources.files("glintrack") / "data" / "sensors" / "silicon.csv")
+DEFAULT_PITCH_UM, DEFAULT_F_NUMBER, DEFAULT_EFFICIENCY, DEFAULT_TRANSMISSION = 17.0, 5.6, 0.6, 0.85
+DEFAULT_BAND_UM = (0.4, 1.0)
+_SPOT_UM, _FULL_WELL_E, _READ_NOISE_E, _EXPOSURE_MS = 12.0, 267e3, 20.0, 0.085
+MAX_EXPOSURE_MS = 1.0  # a car at 50 km/h moves 14 mm in it
+_AIRY_SIGMA = 0.42  # Gaussian closest to the Airy pattern, per λF: Zhang et al., Appl. Opt. 46, 1819 (2007)
+ORIGINS = {
+    "spot_sigma_um": "aberrations and diffraction together blur by 0.71 of the pitch (assumed)",
+    "full_well_e": "924 e per µm² of the pitch, as of the IMX250MZR (assumed)",
+    "read_noise_e": "1.18 e per µm of the pitch (assumed)",
+    "integration_time_ms": "white paint in AM1.5G sunlight about half fills the well; at most 1 ms, in which "
+    "a car at 50 km/h moves 14 mm",
+}
+
+
+@dataclass(frozen=True)
+class DerivedValue:
+    """Value of a key of ``[sensor]`` that a design leaves out, and the law that gives it."""
+
+    key: str
+    value: float
+    origin: str
+
+    def __str__(self) -> str:
+        """Key, value and law as one line of text."""
+        return f"sensor.{self.key} = {float(f'{self.value:.3g}'):,g} {unit_of(self.key)}: {self.origin}"
+
+
+def derived_values(design: Design) -> tuple[DerivedValue, ...]:
+    """Values of a sensor's design that neither the case nor its ready design states."""
+    stated = design.model_fields_set
+    return tuple(DerivedValue(k, getattr(design, k), o) for k, o in ORIGINS.items() if k not in stated)
+
+
+def spot_sigma(known: Mapping[str, Any]) -> float:
+    """Blur by aberrations; with diffraction it has the default's ratio to the pitch, at least 0. [µm]"""
+    ratio2 = (_SPOT_UM**2 + _airy_sigma_um(DEFAULT_BAND_UM, DEFAULT_F_NUMBER) ** 2) / DEFAULT_PITCH_UM**2
+    spot2 = ratio2 * known["pitch_um"] ** 2 - _airy_sigma_um(_band_um(known), known["f_number"]) ** 2
+    return _rounded(math.sqrt(max(spot2, 0.0)))
+
+
+def full_well(known: Mapping[str, Any]) -> float:
+    """Full well in proportion to the element's area; the default is the IMX250MZR's 11 ke on 3.45 µm. [e]"""
+    return _rounded(_FULL_WELL_E * (known["pitch_um"] / DEFAULT_PITCH_UM) ** 2)
+
+
+def read_noise(known: Mapping[str, Any]) -> float:
+    """Read noise in proportion to the pitch, as reset noise of a capacity that grows with the area. [e]"""
+    return _rounded(_READ_NOISE_E * known["pitch_um"] / DEFAULT_PITCH_UM)
+
+
+def integration_time(known: Mapping[str, Any]) -> float:
+    """Exposure that fills the well to the default sensor's share, with the limit of `MAX_EXPOSURE_MS`. [ms]
+
+    A quantum efficiency from a file counts as 0.6, and a `response` curve as 1: neither is read here.
+    """
+    layout = known["layout"]
+    rows = LAYOUTS.get(layout, ((layout,),)) if isinstance(layout, str) else layout
+    has_bare_element = any(isinstance(what, str) for row in rows for what in row)
+    efficiency = known["quantum_efficiency"]
+    if isinstance(efficiency, str) and efficiency != "silicon":
+        efficiency = DEFAULT_EFFICIENCY
+    light = (
+        (known["pitch_um"] / DEFAULT_PITCH_UM) ** 2
+        * ((4 * DEFAULT_F_NUMBER**2 + 1) / (4 * known["f_number"] ** 2 + 1))
+        * (1 - known["optics"].obscuration ** 2)
+        * known["fill_factor"]
+        * (known["optics_transmission"] / DEFAULT_TRANSMISSION)
+        * (1.0 if has_bare_element else 0.5 * known["polarizer_transmittance"])
+        * _relative_signal(_band_um(known), efficiency)
+    )
+    time_ms = _EXPOSURE_MS * (known["full_well_e"] / _FULL_WELL_E) / max(light, 1e-9)
+    return _rounded(min(time_ms, MAX_EXPOSURE_MS, 0.9e3 / known["clock_hz"]))
+
+
+def am15g_light(wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "wavelength"]:
+    """Sunlight on the ground of ASTM G173-03, global, per wavelength. [W m⁻² nm⁻¹]"""
+    import pvlib  # takes a tenth of a second
+
+    table = pvlib.spectrum.get_reference_spectra(standard="ASTM G173-03")["global"]
+    return np.interp(wavelength_um, table.index.to_numpy(dtype=float) * 1e-3, table.to_numpy(dtype=float))
+
+
+@lru_cache(maxsize=64)
+def _relative_signal(band_um: tuple[float, float], efficiency: float | str) -> float:
+    """Electrons of AM1.5G sunlight in a band, relative to the default band and efficiency. [1]"""
+    if band_um == DEFAULT_BAND_UM and not isinstance(efficiency, str):
+        return efficiency / DEFAULT_EFFICIENCY
+    grid = np.arange(DEFAULT_BAND_UM[0], max(band_um[1], DEFAULT_BAND_UM[1]) + 0.005, 0.01)
+    photons = grid * am15g_light(grid)
+    part = np.full(len(grid), efficiency if not isinstance(efficiency, str) else 0.0)
+    if isinstance(efficiency, str):
+        table = read_spectra(SILICON, "sensor.quantum_efficiency", {"efficiency": 1.0})
+        part = np.interp(grid, table["wavelength_um"], table["efficiency"], right=0.0)
+    own, default = (
+        (first - 1e-9 <= grid) & (grid <= last + 1e-9) for first, last in (band_um, DEFAULT_BAND_UM)
+    )
+    return float((photons * part)[own].sum() / (DEFAULT_EFFICIENCY * photons[default].sum()))
+
+
+def _band_um(known: Mapping[str, Any]) -> tuple[float, float]:
+    """Band within the wavelengths of the program, which the design checks only later. [µm]"""
+    first, last = (min(max(um, MIN_WAVELENGTH_UM), MAX_WAVELENGTH_UM) for um in known["band_um"])
+    return first, last
+
+
+def _airy_sigma_um(band_um: tuple[float, float], f_number: float) -> float:
+    """Width (standard deviation) of the Gaussian closest to the Airy pattern at a band's middle. [µm]"""
+    return _AIRY_SIGMA * sum(band_um) / 2 * f_number
+
+
+def _rounded(value: float) -> float:
+    """Round to four significant digits, so that a printed value is the value that is used."""
+    return float(f"{value:.4g}")

@@ -1,0 +1,101 @@
+"""A case from a data sheet: a camera of 3.45 µm is neither blurred over ten elements nor filled to 2 %."""
+
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+
+from glintrack.case.check import assess
+from glintrack.case.data_sheet import DataSheet, case_text
+from glintrack.case.design import Case
+from glintrack.cli import app
+from glintrack.sensor.sensor import build_sensor
+from glintrack.sensor.wavefront import modulation_transfer
+
+CAMERA = {
+    "columns": 2048,
+    "rows": 2048,
+    "pitch_um": 3.45,
+    "focal_length_mm": 100.0,
+    "altitude_m": 2000.0,
+    "off_nadir_deg": 30.0,
+    "rate_hz": 5.0,
+}
+OPTIONS = "--pixels 2048x2048 --pitch 3.45 --focal-length 100 --altitude 2000 --off-nadir 30 --rate 5".split()
+
+
+def case_of(**changes):
+    text = case_text(DataSheet(**{**CAMERA, **changes}), "mine")
+    return text, Case.model_validate({"name": "mine", **tomllib.loads(text)})
+
+
+@pytest.mark.parametrize("polarizers", ["none", "superpixel", "2x2"])
+def test_a_camera_is_sharp_and_well_exposed(polarizers):
+    _, case = case_of(polarizers=polarizers)
+    sensor = case.sensor
+    assert 2.355 * sensor.spot_sigma_um < 2 * sensor.pitch_um  # full width at half maximum
+    assert 0.3 < assess(case).well_filled < 0.9
+    half_nyquist_per_mm = np.array([250 / sensor.pitch_um])
+    assert modulation_transfer(sensor, 0.7, half_nyquist_per_mm)[0] > 0.2
+    assert case.flight.frames == 100 and sensor.oversampling == 1
+    small = sensor.replace({"rows": 32, "columns": 32})
+    assert build_sensor(small, case.atmosphere.wavelength_um).design.has_stokes == (polarizers != "none")
+
+
+def test_the_paper_from_its_figures_is_the_default():
+    """880 × 560 elements of 17 µm behind 68 mm: the values of the default, but for the silicon's curve."""
+    _, case = case_of(
+        columns=880, rows=560, pitch_um=17.0, focal_length_mm=68.0, altitude_m=1928.0, off_nadir_deg=50.0,
+        rate_hz=2.0, polarizers="superpixel",
+    )  # fmt: skip
+    assert case.sensor.replace({"quantum_efficiency": 0.6, "clock_hz": 10.0}) == Case().sensor
+
+
+def test_a_detector_and_a_lens_of_the_catalogue():
+    none = dict.fromkeys(("columns", "rows", "pitch_um", "focal_length_mm"))
+    text, case = case_of(detector="imx250mzr", lens="ef-100", **none)
+    sensor = case.sensor
+    assert (sensor.columns, sensor.rows, sensor.pitch_um, sensor.focal_length_mm) == (2464, 2056, 3.45, 100)
+    assert sensor.layout == "0-45-90-135" and sensor.full_well_e == 10_500 and sensor.bits == 12
+    assert "Balluff" in text and "assumed" in text
+    _, other = case_of(detector="imx250mzr", **{**none, "pitch_um": 2.4, "focal_length_mm": 50.0})
+    assert other.sensor.full_well_e < 6000  # no value of another pitch
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"pitch_um": None}, "`--pitch` must be given where there is no --sensor"),
+        ({"focal_length_mm": None}, "`--focal-length` must be given where there is no --lens"),
+        ({"lens": "pi-6"}, "`--lens` must have an image circle of the array's 9.99 mm at least, got 8 mm"),
+        ({"lens": "ef-100", "f_number": 1.4}, "`--f-number` must be at least the lens's 2, got 1.4"),
+        ({"detector": "imx250mzr", "polarizers": "none"}, "`--polarizers` must be 2x2, as on the detector"),
+        ({"detector": "imx253mzr", "rate_hz": 60.0}, "`--rate` must be at most the detector's 15 Hz, got 60"),
+        ({"rows": 2047, "polarizers": "2x2"}, "`sensor.rows` must be even"),
+        ({"altitude_m": 300.0}, "`flight.altitude_m` must lie within"),
+    ],
+)
+def test_contradictions_are_refused_in_a_sentence(changes, message):
+    with pytest.raises(ValueError, match=message):
+        case_of(**changes)
+
+
+def test_the_command_writes_a_case_that_check_takes(tmp_path, monkeypatch, capsys):
+    def glintrack(*words):
+        monkeypatch.setattr(sys, "argv", ["glintrack", *map(str, words)])
+        with pytest.raises(SystemExit) as stop:
+            app.main()
+        return stop.value.code or 0, capsys.readouterr()
+
+    file = tmp_path / "mycam.toml"
+    assert not glintrack("case", "new", file, *OPTIONS)[0]
+    code, printed = glintrack("case", "check", file)
+    assert not code and "derived: sensor.full_well_e = 11,000 e" in printed.out
+    before = file.read_text()
+    code, printed = glintrack("case", "new", file, *OPTIONS)
+    assert code == 2 and "`file` must not exist yet" in printed.err and file.read_text() == before
+    for wrong in (["--pixels", "2048"], ["--rate", "inf"], ["--rate", "nan"]):
+        code, printed = glintrack("case", "new", tmp_path / "other.toml", *OPTIONS, *wrong)
+        assert code == 2 and f"`{wrong[0]}` must be" in printed.err
+    assert not (tmp_path / "other.toml").exists()
