@@ -5,7 +5,7 @@ import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from rich.box import SIMPLE
 from rich.console import Console
@@ -102,9 +102,9 @@ def new(
     if not 0 < rate <= 1000:
         raise ValueError(f"`--rate` must be above 0 and at most 1000 Hz, got {rate:g}")
     columns, rows = map(int, size.groups()) if pixels else (None, None)
-    array = {"columns": columns, "rows": rows, "pitch_um": pitch, "focal_length_mm": focal_length}
-    names = {"detector": sensor, "lens": lens}
-    sheet = DataSheet(altitude, off_nadir, rate, **array, f_number=f_number, polarizers=polarizers, **names)
+    array: dict[str, Any] = {"columns": columns, "rows": rows, "pitch_um": pitch, "detector": sensor}
+    optics: dict[str, Any] = {"focal_length_mm": focal_length, "f_number": f_number, "lens": lens}
+    sheet = DataSheet(altitude, off_nadir, rate, polarizers=polarizers, **array, **optics)
     write_text(file, case_text(sheet, file.stem))
     print(f"wrote {file}; `glintrack case check {file}` judges it, `glintrack run {file}` simulates it")
 

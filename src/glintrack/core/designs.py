@@ -304,7 +304,8 @@ def keys_of(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, list
             if field.annotation is nested:
                 continue  # a table has no value of its own; a list of them has
         default = about.get("default")
-        text = "" if default is None else json.dumps(default, ensure_ascii=False, default=str)
+        text = json.dumps(default, ensure_ascii=False, default=str) if default is not None else ""
+        text = "derived" if field.default_factory else text
         meaning = " ".join(about.get("description", "").split())
         own.append(Key(f"{table}{shown}", unit_of(name), kind_of(about), _shorten(text, 40), meaning))
     if own:
