@@ -26,7 +26,7 @@ COMMANDS = {
     "video": "Write the film of a simulation with its tracks as MP4 (extra `video`) or GIF.",
     "study": "Simulate the cases of a study, `glintrack study FILE`, or report on a study.",
     "dataset": "Build a labelled set of frames, `glintrack dataset CASE… -o DIR`, or score baselines on one.",
-    "case": "List the packaged cases, check a case file, or print its keys.",
+    "case": "Make a case from a data sheet, check a case file, list cases, or print the keys.",
     "track": "Track your own detections or frames.",
     "bound": "Measure the loss budget of a case, without a tracker.",
     "score": "Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more.",
