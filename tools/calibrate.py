@@ -9,11 +9,11 @@ and clutter weigh the same, which takes out the flights' own odds. Residuals of 
 and standard deviations. Masks and places are those of the present model: run it twice after a change of the
 detector.
 
-``python tools/calibrate.py existence`` simulates `quickstart` with seeds 11 and 12 and `braunschweig` with
-seed 11, tracks them in each channel with the tracker of the packaged case, reporting all that is confirmed,
-and labels every track at every frame by the truth, as the scores do: right or false; a track near a standing
-vehicle says nothing. A model of `existence.existence_features` is fitted to each channel, every flight
-weighing the same; then one of the features of `reporting.report_candidates`, 1.5 s later.
+``python tools/calibrate.py existence`` simulates two cities and four other kinds of traffic
+(`EXISTENCE_FLIGHTS`), tracks them in each channel with the tracker of the packaged case, reporting all that
+is confirmed, and labels every track at every frame by the truth, as the scores do: right or false. A track
+near a standing vehicle says nothing. A model of `existence.existence_features` is fitted to each channel,
+every flight weighing the same; then one of the features of `reporting.report_candidates`, 1.5 s later.
 
 Both fits are maximum likelihood with a weak ridge.
 """
@@ -226,7 +226,15 @@ def calibrate_mosaic() -> None:
 
 # ---- existence models of the tracker
 
-EXISTENCE_FLIGHTS = ("quickstart:11", "quickstart:12", "braunschweig:11")
+_NADIR = ("flight.off_nadir_deg=8.0", "flight.altitude_m=2970.0")
+EXISTENCE_FLIGHTS = (
+    ("quickstart:11", ()), ("braunschweig:11", ()), ("suburb:1", ()), ("motorway:1", ()), ("arterial:1", ()),
+    ("junction:1", ()), ("arterial:1", _NADIR), ("motorway:1", _NADIR),
+)  # fmt: skip
+EXISTENCE_VALID = {
+    "detector": "mosaic", "pitch_um": [17.0], "rate_hz": [2.0], "off_nadir_deg": [8.0, 50.0],
+    "speed_m_s": [0.0, 33.0], "flights": [" ".join((name, *keys)) for name, keys in EXISTENCE_FLIGHTS],
+}  # fmt: skip
 SETTLED_FRAMES = 4  # before it next to nothing is confirmed
 LAG_S = 1.5
 RULES = {f"initiation.{key}": value for key, value in EXISTENCE_INITIATION.items()}
@@ -275,7 +283,8 @@ def at_once(flight: Flight) -> LabelledTracks:
     """All that is followed, as it is known at each frame."""
     states, parts = flight.states(RULES | {"reporting.method": "confirmation"}), []
     for state, (_, _, _, truth) in zip(states, flight.found, strict=True):
-        features = existence.existence_features(state.targets)[state.targets.confirmed]
+        features = existence.existence_features(state.targets, state.flow, state.time_s)
+        features = features[state.targets.confirmed]
         parts.append(label_tracks(track.report(state), features, truth, flight.extent_m))
     return concatenate_tracks(parts[SETTLED_FRAMES:])
 
@@ -320,15 +329,16 @@ def write(name: str, fitted: Mapping[str, np.ndarray]) -> None:
         channel: LogisticModel(old.models[channel].features, float(w[0]), w[1:])
         for channel, w in fitted.items()
     }
-    found = replace(old, source="tools/calibrate.py existence", models=models)
+    valid = EXISTENCE_VALID | {key: old.valid[key] for key in ("lag_s",) if key in old.valid}
+    found = replace(old, source="tools/calibrate.py existence", valid=valid, models=models)
     write_calibration(name, found)
 
 
 def calibrate_existence() -> None:
     """Fit the existence models without and with a lag, and write both files."""
     flown: dict[str, list[Flight]] = {channel: [] for channel in CHANNELS}
-    for flight in EXISTENCE_FLIGHTS:
-        recording = record_flight(flight)
+    for flight, changes in EXISTENCE_FLIGHTS:
+        recording = record_flight(flight, changes)
         for channel in CHANNELS:
             flown[channel].append(detect_flight(recording, channel))
     for name, labelled in (("existence", at_once), ("existence_smoothed", later)):

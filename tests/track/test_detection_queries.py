@@ -8,6 +8,7 @@ from scipy.special import entr, logsumexp
 
 from glintrack import track
 from glintrack.track import identity, queries, update
+from glintrack.track.flow import no_flow
 from glintrack.track.initiation import initiate
 from tests.plain import plain_tracker
 
@@ -30,7 +31,7 @@ def targets_with(feature, spectra, design):
     """Confirmed targets of these features."""
     n = len(feature)
     found = track.Detections(np.zeros((n, 2)), np.repeat(np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
-    new = initiate(design, found, np.full((n, BINS), np.nan), np.arange(n), 0)
+    new = initiate(design, found, np.full((n, BINS), np.nan), np.arange(n), 0, no_flow())
     return replace(new, confirmed=np.ones(n, bool), spectra=np.full(n, float(spectra)), feature=feature)
 
 

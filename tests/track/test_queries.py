@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from glintrack import track
 from glintrack.core.schema import RADIANCE
 from glintrack.track import identity, queries
+from glintrack.track.flow import no_flow
 from glintrack.track.initiation import initiate
 from tests.plain import plain_tracker
 
@@ -84,7 +85,7 @@ def targets_at(position, spectra, feature, design, sigma_m=1.0):
     """Confirmed targets that stand, each with a number of spectra of one mean feature."""
     n = len(position)
     found = track.Detections(position, np.repeat(sigma_m**2 * np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
-    new = initiate(design, found, np.full((n, identity.BINS), np.nan), np.arange(n), 0)
+    new = initiate(design, found, np.full((n, identity.BINS), np.nan), np.arange(n), 0, no_flow())
     return replace(
         new,
         confirmed=np.ones(n, bool),

@@ -131,6 +131,8 @@ class InitiationDesign(Design):
     """
     speed_sigma_m_s: float = Field(default=8.0, gt=0, le=100)
     """Standard deviation of each speed component of a new track, if its detection has no velocity. [m s⁻¹]"""
+    flow_velocity: bool = True
+    """Start a new track with the velocity of the fast traffic around it, learnt from earlier detections."""
     coast_s: float = Field(default=2.0, ge=0, le=3600)
     """Time for which a confirmed track coasts while it moves. [s]"""
     stopped_coast_s: float | None = Field(default=None, ge=0, le=3600)
@@ -169,7 +171,7 @@ class ReportingDesign(Design):
     confirm tracks: `initiation.rules` and `initiation.confirm_…` must be left out. The model needs
     detections with log-likelihood ratios, as the detector `mosaic` gives them. In epochs without them the
     tracker warns and falls back to `confirmation`, with the defaults of these keys."""
-    max_false_share: float = Field(default=0.1, ge=0, le=1)
+    max_false_share: float = Field(default=0.08, ge=0, le=1)
     """Largest expected share of false tracks among the reported ones; `existence` only. [1]"""
     lag_s: float = Field(default=1.5, ge=0, le=60)
     """Fixed lag after which the tracks of an epoch are reported; `existence` only. Later detections within

@@ -12,7 +12,7 @@ under the oldest id.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -21,26 +21,33 @@ from scipy.special import expit
 
 from glintrack.core.arrays import Array
 from glintrack.track.calibration import read_calibration
+from glintrack.track.flow import Flow, count_votes
 from glintrack.track.initiation import Targets, find_rows
 
 MIN_LOG_ODDS = -0.7  # a track with lower odds is never reported
 MAX_MISSES = 2.0  # limit of the misses
 MIN_SPEED_M_S, MAX_AGE_S = 6.0, 5.0  # slower motion lowers the odds; limit of the age
 NEIGHBOUR_M, SAME_SPEED_M_S = 12.0, 4.0
-_MAX_NEIGHBOURS = 8
+QUEUE_M, QUEUE = 40.0, 4  # distance and number of the tracks of a queue
+_MAX_NEIGHBOURS = 24
 
 # Duplicates: chosen on quickstart 11 and 12 and braunschweig 11; three in four such pairs are one vehicle.
 PAIR_M, PAIR_SPEED_M_S, PAIR_MIN_SPEED_M_S = 8.0, 6.0, 6.0
 PAIR_ACROSS_M, PAIR_ALONG_M = 3.0, 4.0  # a pair in line is no farther across, one abreast no farther along
 PAIR_FRAMES, PAIR_END_M = 2, 12.0  # a pair found in so many frames ends beyond this distance
 PAIR_MAX_MISSES = 1
+PAIR_MAX_ALIKE = (
+    2  # tracks alike within `QUEUE_M`, the other of the pair included: more are a queue of vehicles
+)
 
 # Beyond this distance from its predicted position half of the tracks found again have changed vehicles
 # (quickstart 11 and braunschweig 11).
 REASSIGNED_M = 6.0
 
 
-def group_log_odds(channel: str, targets: Targets, leader: Int[Array, "target"]) -> Float[Array, "target"]:
+def group_log_odds(
+    channel: str, targets: Targets, leader: Int[Array, "target"], flow: Flow, time_s: float
+) -> Float[Array, "target"]:
     """Log odds that each target is a vehicle near its position; of a leader the greatest of its group. [nat]
 
     Parameters
@@ -51,8 +58,10 @@ def group_log_odds(channel: str, targets: Targets, leader: Int[Array, "target"])
         All targets; the confirmed ones count as neighbours.
     leader
         Index of the target that is reported for each target (`leaders`).
+    flow, time_s
+        Flow of traffic, and the epoch. [s]
     """
-    own = read_calibration("existence").models[channel].log_odds(existence_features(targets))
+    own = read_calibration("existence").models[channel].log_odds(existence_features(targets, flow, time_s))
     odds = own.copy()
     np.maximum.at(odds, leader, own)
     return odds
@@ -80,43 +89,66 @@ def select_reported_tracks(
     return out
 
 
-def existence_features(targets: Targets) -> Float[Array, "target feature"]:
+def existence_features(targets: Targets, flow: Flow, time_s: float) -> Float[Array, "target feature"]:
     """Features of the existence model, in the order of its calibration.
 
     Frames since the last measurement; recent mean likelihood ratio (`Targets.trust`), and its positive part;
     the speed missing to 6 m/s; proximity of the nearest confirmed track with a similar velocity, and of the
-    nearest of any, from 0 at 12 m to 1; age up to 5 s; and by how much the distance from the first position
-    is shorter than 6 m/s would make it (stray), with products of these.
+    nearest of any, from 0 at 12 m to 1; age up to 5 s; by how much the distance from the first position is
+    shorter than 6 m/s would make it (stray), with products of these. In a queue a near track with a similar
+    velocity is another vehicle. Alone it is probably the other end of the same one. So the number of tracks
+    in the queue, from 0 to 1 for `QUEUE`, and its products are features. So is the logarithm of the number
+    of other vehicles that had the track's velocity on its line.
     """
     speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
     travel_m = np.hypot(*(targets.position - targets.born).T)
     stray = np.maximum(MIN_SPEED_M_S - travel_m / np.maximum(targets.age_s, 1.0), 0.0)
     age, trust = np.minimum(targets.age_s, MAX_AGE_S), targets.trust
-    alike, near = _neighbour_proximity(targets)
+    alike, near, count = _neighbours(targets)
+    queue = np.minimum(count / QUEUE, 1.0)
+    slow = np.maximum(MIN_SPEED_M_S - speed, 0.0)
+    votes = np.log1p(count_votes(flow, targets.position, targets.mean[:, 2:], time_s))
     columns = [
-        np.minimum(targets.misses, MAX_MISSES), trust, np.maximum(trust, 0.0),
-        np.maximum(MIN_SPEED_M_S - speed, 0.0), alike, near, trust * near, stray * near, age,
-        stray * age,
+        np.minimum(targets.misses, MAX_MISSES), trust, np.maximum(trust, 0.0), slow, alike, near,
+        trust * near, stray * near, age, stray * age, queue, queue * alike, queue * near, queue * slow, votes,
     ]  # fmt: skip
     return np.stack(columns, axis=-1).astype(float)
 
 
-def _neighbour_proximity(targets: Targets) -> tuple[Float[Array, "target"], Float[Array, "target"]]:
-    """Proximity of the nearest other confirmed track with a similar velocity, and of the nearest of any."""
-    alike, any_ = np.zeros(len(targets)), np.zeros(len(targets))
+class Neighbours(NamedTuple):
+    """Other confirmed tracks around a target.
+
+    Parameters
+    ----------
+    escorted, crowded
+        Proximity of the nearest one with a similar velocity, and of the nearest of any, from 0 at
+        `NEIGHBOUR_M` to 1.
+    alike
+        Number of those with a similar velocity within `QUEUE_M`.
+    """
+
+    escorted: Float[Array, "target"]
+    crowded: Float[Array, "target"]
+    alike: Float[Array, "target"]
+
+
+def _neighbours(targets: Targets) -> Neighbours:
+    """Neighbours of each target among the confirmed ones."""
     present = np.flatnonzero(targets.confirmed & (targets.misses <= 1))
     if len(present) == 0:
-        return alike, any_
+        return Neighbours(*np.zeros((3, len(targets))))
     nearest: Any = np.arange(1, min(_MAX_NEIGHBOURS + 1, len(present)) + 1)
     tree = KDTree(targets.position[present])
-    distance, which = tree.query(targets.position, k=nearest, distance_upper_bound=NEIGHBOUR_M)
+    distance, which = tree.query(targets.position, k=nearest, distance_upper_bound=QUEUE_M)
     found = np.isfinite(distance)
     other = present[np.where(found, which, 0)]
     found &= other != np.arange(len(targets))[:, None]
-    proximity = np.where(found, 1 - distance / NEIGHBOUR_M, 0.0)
+    proximity = np.where(found, np.maximum(1 - distance / NEIGHBOUR_M, 0.0), 0.0)
     difference = targets.mean[other, 2:] - targets.mean[:, None, 2:]
-    same = np.hypot(difference[..., 0], difference[..., 1]) < SAME_SPEED_M_S
-    return np.where(same, proximity, 0.0).max(axis=1), proximity.max(axis=1)
+    same = found & (np.hypot(difference[..., 0], difference[..., 1]) < SAME_SPEED_M_S)
+    return Neighbours(
+        np.where(same, proximity, 0.0).max(axis=1), proximity.max(axis=1), same.sum(axis=1).astype(float)
+    )
 
 
 @dataclass(frozen=True)
@@ -194,6 +226,7 @@ def _find_pairs(targets: Targets) -> Int[Array, "pair 2"]:
         return np.empty((0, 2), np.int64)
     near = KDTree(targets.position[present]).query_pairs(PAIR_M, output_type="ndarray").reshape(-1, 2)
     a, b = np.sort(present[near], axis=1).T
+    count = _neighbours(targets).alike
     velocity = 0.5 * (targets.mean[a, 2:] + targets.mean[b, 2:])
     speed, apart = np.hypot(*velocity.T), targets.position[b] - targets.position[a]
     unit = velocity / np.maximum(speed, 1e-9)[:, None]
@@ -201,7 +234,8 @@ def _find_pairs(targets: Targets) -> Int[Array, "pair 2"]:
     across_m = np.abs(apart[:, 1] * unit[:, 0] - apart[:, 0] * unit[:, 1])
     alike = np.hypot(*(targets.mean[a, 2:] - targets.mean[b, 2:]).T) < PAIR_SPEED_M_S
     in_line_or_abreast = (along_m <= PAIR_ALONG_M) | (across_m <= PAIR_ACROSS_M)
-    return np.stack([a, b], axis=-1)[alike & (speed > PAIR_MIN_SPEED_M_S) & in_line_or_abreast]
+    alone = np.minimum(count[a], count[b]) <= PAIR_MAX_ALIKE
+    return np.stack([a, b], axis=-1)[alike & alone & (speed > PAIR_MIN_SPEED_M_S) & in_line_or_abreast]
 
 
 def reassign_ids(before: Targets, after: Targets, interval_s: float, next_id: int) -> Int[Array, "target"]:

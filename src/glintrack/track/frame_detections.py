@@ -15,6 +15,7 @@ from glintrack.track.detect.detections import Detections, no_detections, order, 
 from glintrack.track.detect.detector import Detector, detector_of
 from glintrack.track.detect.frame import Frame, Grid, grid_of, in_view
 from glintrack.track.existence import Duplicates, no_duplicates
+from glintrack.track.flow import Flow, no_flow
 from glintrack.track.initiation import Targets
 from glintrack.track.motion import (
     COAST_DAMPING_S,
@@ -52,6 +53,8 @@ class TrackerState:
         Hypotheses of every target, with multi-hypothesis tracking; `targets` are the best of them.
     duplicates
         Pairs of targets on one vehicle, with existence reporting.
+    flow
+        Flow of traffic, from which new targets take their velocity.
     """
 
     design: TrackDesign
@@ -71,6 +74,7 @@ class TrackerState:
     roads: Roads | None = None
     leaves: hypotheses.Leaves | None = None
     duplicates: Duplicates = field(default_factory=no_duplicates)
+    flow: Flow = field(default_factory=no_flow)
 
     @property
     def effective_design(self) -> TrackDesign:

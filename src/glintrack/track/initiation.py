@@ -11,6 +11,7 @@ from glintrack.core.arrays import Array
 from glintrack.track.design import InitiationRules, TrackDesign
 from glintrack.track.detect.detections import no_detections
 from glintrack.track.detect.frame import Grid
+from glintrack.track.flow import SIGMA_M_S, Flow, birth_velocity, no_flow
 from glintrack.track.motion import COAST_DAMPING_S, Modes, combine_modes, initial_modes
 
 TENTATIVE_MISSES = 1  # consecutive frames that an unconfirmed track may miss
@@ -101,7 +102,8 @@ class Targets:
 
 def no_targets(design: TrackDesign, features: int) -> Targets:
     """Return an empty set of targets with so many spectral features."""
-    return initiate(design, no_detections(), np.empty((0, features)), np.empty(0, np.int64), 0)
+    nothing = no_detections(), np.empty((0, features)), np.empty(0, np.int64)
+    return initiate(design, *nothing, 0, no_flow())
 
 
 def confirmation(rules: InitiationRules, interval_s: float) -> tuple[int, int]:
@@ -211,14 +213,22 @@ def select_unassigned(
     return np.flatnonzero(free)
 
 
-def initiate(design, found, spectral, index, next_id, roads=None, apart_from=None) -> Targets:
-    """Start a target for each of the detections at an index; confirm it only if apart from other targets."""
+def initiate(design, found, spectral, index, next_id, flow: Flow, roads=None, apart_from=None) -> Targets:
+    """Start a target for each of the detections at an index; confirm it only if apart from other targets.
+
+    Its velocity is the detector's if that is always right, else that of the flow of traffic where it can be
+    trusted, else unknown.
+    """
     n, place, ratio = len(index), found.position[index], found.log_likelihood_ratio
     velocity = None if found.velocity is None or found.velocity_share < 1 else found.velocity[index]
     sigma_m_s = design.initiation.speed_sigma_m_s if velocity is None else found.velocity_sigma_m_s
     speed = np.repeat(sigma_m_s**2 * np.eye(2)[None], n, axis=0)
     if roads is not None and velocity is None:
         speed = roads.speed_covariance(place, sigma_m_s)
+    if velocity is None and design.initiation.flow_velocity:
+        velocity, trusted = birth_velocity(flow, place)
+        velocity[~trusted] = 0.0
+        speed[trusted] = SIGMA_M_S**2 * np.eye(2)
     ratio = None if ratio is None else ratio[index]
     modes = initial_modes(place, found.covariance[index], speed, design.motion.modes, velocity)
     mean, covariance = combine_modes(modes)

@@ -80,7 +80,7 @@ def report(state: TrackerState) -> xr.Dataset:
         shown = shown & (targets.misses == 0)
     if design.reporting.uses_existence:
         leader = existence.leaders(state.duplicates, targets)
-        odds = existence.group_log_odds(design.detect.channel, targets, leader)
+        odds = existence.group_log_odds(design.detect.channel, targets, leader, state.flow, state.time_s)
         shown = shown & (leader == np.arange(len(targets)))
         shown = existence.select_reported_tracks(odds, shown, design.reporting.max_false_share)
         targets = existence.move_to_mean_position(targets, leader)
@@ -190,7 +190,8 @@ def pending_epoch(before: PendingEpoch | None, state: TrackerState, live: xr.Dat
     leader = existence.leaders(state.duplicates, every)
     leads = leader == np.arange(len(every))
     targets = select(existence.move_to_mean_position(every, leader), leads)
-    odds = existence.group_log_odds(design.detect.channel, every, leader)[leads]
+    channel = design.detect.channel
+    odds = existence.group_log_odds(channel, every, leader, state.flow, state.time_s)[leads]
     measured_s = np.where(targets.misses == 0, state.time_s, np.nan)
     measured_at = targets.position.copy()
     if before is not None and len(before.targets):

@@ -20,6 +20,7 @@ from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Association, Detections, order
 from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.frame import Frame, Grid
+from glintrack.track.flow import update_flow
 from glintrack.track.frame_detections import FrameDetections, TrackerState, detect_frame, prepare_detections
 from glintrack.track.initiation import (
     concatenate,
@@ -211,7 +212,8 @@ def _step(
     features, apart_from = spectral.copy(), targets if uses_existence else None
     if design.identity.outlier_share:  # spectra that more probably show the ground than any vehicle
         features[evidence.index[evidence.ground > 0]] = np.nan
-    born = initiate(design, found, features, index, state.next_id, state.roads, apart_from)
+    flow = update_flow(state.flow, found.position, seen.time_s)
+    born = initiate(design, found, features, index, state.next_id, flow, state.roads, apart_from)
     if leaves is not None:
         leaves = hypotheses.prune(leaves, targets, born, index, state.frame)
     targets, duplicates = concatenate(targets, born), state.duplicates
@@ -228,6 +230,6 @@ def _step(
         state, frame=state.frame + 1, time_s=seen.time_s, interval_s=seen.interval_s, grid=grid,
         clutter=clutter.update(clutter.map_of(state, grid), grid, found.position, explained, share),
         targets=targets, next_id=next_id, population=population, ground=before.ground, detections=found,
-        leaves=leaves, duplicates=duplicates,
+        leaves=leaves, duplicates=duplicates, flow=flow,
     )  # fmt: skip
     return new, explained
