@@ -78,10 +78,15 @@ def fit_logistic(features: np.ndarray, label: np.ndarray, weight: np.ndarray) ->
 # ---- detector `mosaic`
 
 MOSAIC_FLIGHTS = {"quickstart:11": ("flight.azimuth_from_sun_deg=0",), "quickstart:12": ()}
-ONE_LENS = ("sensor.spot_sigma_um=12", "sensor.full_well_e=267e3", "sensor.read_noise_e=20")
+ONE_SENSOR = (
+    "sensor.spot_sigma_um=12",
+    "sensor.full_well_e=267e3",
+    "sensor.read_noise_e=20",
+    "sensor.integration_time_ms=0.085",
+)
 VARIANTS = (
     ("flight.frames=24",),
-    ("flight.frames=24", "sensor.pitch_um=8.5", "sensor.rows=1120", "sensor.columns=1760", *ONE_LENS),
+    ("flight.frames=24", "sensor.pitch_um=8.5", "sensor.rows=1120", "sensor.columns=1760", *ONE_SENSOR),
     ("flight.frames=60", "flight.rate_hz=10", "sensor.clock_hz=10"),
 )
 SETTLED_S = 4.0  # before it the ground is still being learnt

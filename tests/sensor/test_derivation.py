@@ -1,9 +1,11 @@
 """Values that a design leaves out: the default stays, and other pitches get values of their own."""
 
 import math
+import tomllib
 
 import pytest
 
+from glintrack.case.packaged import find_case
 from glintrack.core.designs import validate_design
 from glintrack.sensor import SensorDesign
 from glintrack.sensor.derivation import MAX_EXPOSURE_MS, ORIGINS, derived_values
@@ -18,6 +20,13 @@ def test_the_default_sensor_keeps_its_values():
     assert {key: getattr(SensorDesign(), key) for key in DEFAULTS} == DEFAULTS
     paper = SensorDesign(ready="paper")
     assert {**DEFAULTS, "integration_time_ms": 0.19} == {key: getattr(paper, key) for key in DEFAULTS}
+
+
+@pytest.mark.parametrize("name", ["between", "polarization_fine", "table1"])
+def test_packaged_studies_of_the_pitch_keep_lens_and_electronics(name):
+    base = tomllib.loads(find_case(name, "study").read_text())["base"]["sensor"]
+    stated = DEFAULTS if name != "between" else DEFAULTS.keys() - {"integration_time_ms"}  # an axis of it
+    assert {key: base.get(key) for key in stated} == {key: DEFAULTS[key] for key in stated}
 
 
 def test_other_pitches_get_values_of_their_own():
