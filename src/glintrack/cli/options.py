@@ -47,7 +47,7 @@ def argument(help: str, **options: Any) -> Any:
     return typer.Argument(help=help, **options)
 
 
-CaseArgument = Annotated[str, argument("Case file (TOML), or a packaged case, such as quickstart or motorway")]
+CaseArgument = Annotated[str, argument("Case file (TOML), or a packaged case, such as quickstart")]
 ResultArgument = Annotated[Path, argument("Folder that `glintrack run` wrote")]
 OutsidePathsOption = Annotated[
     bool, option("Allow file paths outside the case's folder", "--allow-outside-paths")
