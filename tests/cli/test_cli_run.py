@@ -8,7 +8,7 @@ import xarray as xr
 from rich.console import Console
 
 from glintrack.cli import options
-from glintrack.cli.options import Bar, show_waiting
+from glintrack.cli.options import Bar, show_wait
 from glintrack.cli.run import assess_tracks, print_loss_budget, print_scores
 from glintrack.core.progress import step
 from glintrack.metrics.requirement import read_requirement
@@ -85,7 +85,7 @@ def test_where_output_is_a_file_a_line_comes_at_intervals(monkeypatch):
 
 def test_what_ends_soon_prints_no_line():
     def wait(console, _):
-        with show_waiting(console, "tracking"):
+        with show_wait(console, "tracking"):
             pass
 
     assert said(wait, None) == []

@@ -18,8 +18,6 @@ from glintrack.render.observer import FrameRadiance
 from glintrack.scene import City, build_scene
 from glintrack.sensor import Sensor, build_sensor, read_lens
 
-_NEAR_DEG = 1.0  # between two statements of one place
-
 
 @dataclass(frozen=True)
 class Scenario:
@@ -88,7 +86,7 @@ def check_place(atmosphere: AtmosphereDesign, city: City) -> None:
     """Refuse a place of the sun whose latitude and longitude are those of the city, exchanged."""
     own = np.array([atmosphere.latitude_deg, atmosphere.longitude_deg])
     there = np.array([city.latitude_deg, city.longitude_deg])
-    near, exchanged = (np.abs(own - one).max() < _NEAR_DEG for one in (there, there[::-1]))
+    near, exchanged = (np.abs(own - one).max() < 1.0 for one in (there, there[::-1]))  # within a degree
     if exchanged and not near and atmosphere.sun_zenith_deg is None:
         raise ValueError(
             f"`atmosphere.latitude_deg` and longitude_deg must be those of the city, {there[0]:.4g}° and "

@@ -27,7 +27,7 @@ from glintrack.cli.options import (
     make_table,
     open_console,
     option,
-    show_waiting,
+    show_wait,
 )
 from glintrack.core.designs import Key, keys_of, suggest_name, tables_of
 from glintrack.flight import check_recorded, check_waypoints
@@ -59,7 +59,7 @@ def check(case: CaseArgument, allow_outside_paths: OutsidePathsOption = False) -
         check_waypoints(flight)
     console = open_console()
     if design.scene.uses_files or design.scene.panels:
-        with show_waiting(console, "building the city"):
+        with show_wait(console, "building the city"):
             city = build_scene(design.scene)
         check_place(design.atmosphere, city)
         recording_duration_s = city.duration_s

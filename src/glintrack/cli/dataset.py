@@ -15,7 +15,7 @@ from glintrack.cli.options import (
     make_table,
     open_console,
     option,
-    show_waiting,
+    show_wait,
 )
 from glintrack.dataset import BASELINES, SCORES, build_dataset, plan_dataset, score_baselines
 
@@ -79,7 +79,7 @@ def baseline(
 ) -> None:
     """Score our detectors and classical ones with our tracker: means over a split."""
     console = open_console()
-    with show_waiting(console, "tracking"):
+    with show_wait(console, "tracking"):
         found = score_baselines(dataset, split, BASELINES, allow_outside_paths)
     rows = []
     for line, scores in found.items():

@@ -10,15 +10,7 @@ import typer
 import typer.core
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    ProgressColumn,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from glintrack.core.progress import listen
@@ -182,9 +174,9 @@ class Bar(Progress):
 
 
 @contextmanager
-def show_waiting(console: Console, description: str) -> Iterator[None]:
+def show_wait(console: Console, description: str) -> Iterator[None]:
     """Show that something of unknown length is done; without a terminal a line from `LINE_S` seconds on."""
-    with Bar(console, TextColumn("{task.description} …"), TimeElapsedColumn(), transient=True) as bar:
+    with Bar(console, transient=True) as bar:
         bar.add_task(description, total=None, announce=False)
         yield
 

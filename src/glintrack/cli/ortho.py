@@ -5,15 +5,7 @@ from typing import Annotated, Literal
 
 import pyproj
 
-from glintrack.cli.options import (
-    Area,
-    argument,
-    check_output,
-    command_app,
-    open_console,
-    option,
-    show_waiting,
-)
+from glintrack.cli.options import Area, argument, check_output, command_app, open_console, option, show_wait
 from glintrack.io.atomic import check_new
 from glintrack.ortho.photograph import rectify
 
@@ -43,7 +35,7 @@ def ortho(
     check_output(output, ".tif", ".tiff", ".nc")
     check_new(output)
     console = open_console()
-    with show_waiting(console, "rectifying"):
+    with show_wait(console, "rectifying"):
         found = rectify(
             frame,
             camera,

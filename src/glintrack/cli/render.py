@@ -9,7 +9,7 @@ from rich.console import Console
 from glintrack.case.build import trace_frame
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.cli.options import Bar, CaseArgument, command_app, open_console, option, show_waiting
+from glintrack.cli.options import Bar, CaseArgument, command_app, open_console, option, show_wait
 from glintrack.core.records import RasterLayout
 from glintrack.io import images, raster
 from glintrack.render.frame import FrameView, Product, cube_blocks, cube_layout, render_product
@@ -54,12 +54,12 @@ def render(
         raise ValueError(f"`--gsd` must be given with --ortho, got {gsd:g} without it")
     design = Case.from_toml(find_case(case))
     console = open_console()
-    with show_waiting(console, "tracing a frame"):
+    with show_wait(console, "tracing a frame"):
         view = trace_frame(design, frame, ortho, gsd)
     if wanted == "cube":
         layout = _write_cube(output, view, bands, console)
     else:
-        with show_waiting(console, "shading"):
+        with show_wait(console, "shading"):
             layout, values = render_product(view, cast(Product, wanted), bands)
             of_aop = wanted == "aop" and picture
             polarized = dolp(render_product(view, "radiance", bands)[1]) if of_aop else None

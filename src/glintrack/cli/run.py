@@ -249,13 +249,10 @@ def _show_warm_up(console: Console) -> None:
         task = progress.add_task("compiling kernels, once after an installation", total=KERNELS, left="")
 
         def show(count: int) -> None:
-            left = f"{count} of {max(count, KERNELS)} kernels"
-            progress.update(task, completed=min(count, KERNELS), left=left)
+            progress.update(task, completed=min(count, KERNELS), left=f"{count} of about {KERNELS} kernels")
 
         compilation.on_kernel = show
-        try:
-            compile_kernels()
-        finally:
-            compilation.on_kernel = lambda count: None
+        compile_kernels()
+        compilation.on_kernel = lambda count: None
         progress.update(task, completed=KERNELS)
     mark_complete()

@@ -15,7 +15,7 @@ from glintrack.cli.options import (
     make_table,
     open_console,
     option,
-    show_waiting,
+    show_wait,
 )
 from glintrack.core.designs import validate_design
 from glintrack.io import atomic, images
@@ -156,7 +156,7 @@ def traffic(
     }
     table = _design(scene).model_dump() | {k: v for k, v in given.items() if v is not None}
     console = open_console()
-    with show_waiting(console, "simulating traffic"):
+    with show_wait(console, "simulating traffic"):
         recording = record_traffic(validate_design(SceneDesign, table))
     if recording.traffic.first.size == 0:
         raise ValueError("`traffic` must hold at least one vehicle in the scene's window, got none")
@@ -199,7 +199,7 @@ def _design(name: str) -> SceneDesign:
 
 def _build(design: SceneDesign, console: Console) -> City:
     started = time.perf_counter()
-    with show_waiting(console, "building the city"):
+    with show_wait(console, "building the city"):
         city = build_scene(design)
     console.print(f"built in {time.perf_counter() - started:.1f} s")
     return city

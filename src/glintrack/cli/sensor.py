@@ -17,7 +17,7 @@ from glintrack.cli.options import (
     make_table,
     open_console,
     option,
-    show_waiting,
+    show_wait,
 )
 from glintrack.core.designs import validate_design
 from glintrack.core.spectral import wavelength_grid
@@ -108,7 +108,7 @@ def lens(
     for name, path, _ in wanted:
         check_output(path, ".png", option=name)
     design, console = read_lens(prescription), open_console()
-    with show_waiting(console, "tracing"):
+    with show_wait(console, "tracing"):
         quality = lens_quality(design)
     rows = []
     for i, (x, y) in enumerate(design.fields_mm):
@@ -146,7 +146,7 @@ def list_ghosts(
         raise ValueError(f"`--pitch-um` must be above 0 and at most 1e6, got {pitch_um:g}")
     if window_mm:
         design = with_window(design, window_mm, gap_mm, reflectance=coating)
-    with show_waiting(console, "tracing"):
+    with show_wait(console, "tracing"):
         found = ghosts(design, field, image_reflectance=detector, object_reflectance=imaged)
     last = len(design.surfaces) + 1
     names = {0: "object", last: "image"} | {k: f"surface {k}" for k in range(1, last)}
@@ -173,9 +173,9 @@ def expose_frame(
             check_output(path, suffix, option=name)
     design = Case.from_toml(find_case(case))
     console = open_console()
-    with show_waiting(console, "tracing a frame"):
+    with show_wait(console, "tracing a frame"):
         view = trace_frame(design, frame)
-    with show_waiting(console, "exposing"):
+    with show_wait(console, "exposing"):
         found = expose_view(design, view)
     exposed = found.frame
     camera_path, pose_path = output.with_suffix(".camera.toml"), output.with_suffix(".pose.toml")

@@ -11,7 +11,7 @@ import xarray as xr
 from rich.console import Console
 
 from glintrack.case.design import over_like
-from glintrack.cli.options import Area, Bar, argument, command_app, open_console, option, show_waiting
+from glintrack.cli.options import Area, Bar, argument, command_app, open_console, option, show_wait
 from glintrack.io import atomic
 from glintrack.io.crs import metric_crs, warn_off_map
 from glintrack.io.detections import DetectionTable, read_detections, read_truth
@@ -71,7 +71,7 @@ def track_files(
         table = read_detections(source, sigma_m, chosen)
         wanted = DETECTIONS_DESIGN.replace(changes)
         wanted = strict_design(wanted) if strict else wanted
-        with show_waiting(console, "tracking"):
+        with show_wait(console, "tracking"):
             tracked = track_detections(table, wanted, area)
         box = " ".join(f"{v:.0f}" for v in tracked.area_m)
         count = len(table.time_s)
