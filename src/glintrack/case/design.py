@@ -103,10 +103,10 @@ class Case(Design):
             self.track.replace({"detect.detector": self.track.detect.detector.replace("auto", "mosaic")})
         except ValueError as error:
             raise ValueError(str(error).replace("`", "`track.", 1)) from error
-        low, high = min(self.atmosphere.altitudes_m), max(self.atmosphere.altitudes_m)
-        if self.flight.kind != "waypoints" and not low <= self.flight.altitude_m <= high:
+        highest_m = max(self.atmosphere.altitudes_m)
+        if self.flight.kind != "waypoints" and self.flight.altitude_m > highest_m:
             raise ValueError(
-                f"`flight.altitude_m` must lie within atmosphere.altitudes_m, {low:g} to {high:g} m, "
+                f"`flight.altitude_m` must be at most the highest of atmosphere.altitudes_m, {highest_m:g}, "
                 f"got {self.flight.altitude_m:g}"
             )
         widest_m = max(self.sensor.rows, self.sensor.columns) * self.sensor.pitch_m

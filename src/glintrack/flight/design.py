@@ -1,12 +1,14 @@
 """The ``[flight]`` table of a case: the path, the gimbal, and when the shutter opens."""
 
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from glintrack.core.designs import Design
 from glintrack.io.untrusted import resolve_path
+
+MAX_ALTITUDE_M = 20_000.0
 
 
 class FlightDesign(Design):
@@ -19,8 +21,8 @@ class FlightDesign(Design):
 
     kind: Literal["orbit", "racetrack", "straight", "waypoints"] = "orbit"
     """Shape of the path."""
-    altitude_m: float = Field(default=1928.0, ge=200, le=20000)
-    """Height of the lens above the stare point, within atmosphere.altitudes_m."""
+    altitude_m: float = Field(default=1928.0, ge=200, le=MAX_ALTITUDE_M)
+    """Height of the lens above the stare point, up to the highest of atmosphere.altitudes_m."""
     off_nadir_deg: float = Field(default=50.0, ge=0, le=70)
     """Angle of the line of sight from nadir at the viewpoint."""
     azimuth_from_sun_deg: float = Field(default=0.0, ge=-360, le=360)
@@ -52,6 +54,18 @@ class FlightDesign(Design):
     """Time of the first frame on the traffic's clock."""
     frames: int = Field(default=60, ge=1, le=100000, description="Number of frames")
     rate_hz: float = Field(default=2.0, gt=0, le=1000, description="Frame rate")
+
+    @field_validator("altitude_m", mode="before")
+    @classmethod
+    def _refuse_orbits(cls, value: Any) -> Any:
+        """Say what to do about an altitude that only satellites have."""
+        if isinstance(value, (int, float)) and MAX_ALTITUDE_M < value < 1e9:
+            raise ValueError(
+                f"`flight.altitude_m` must be at most {MAX_ALTITUDE_M:,.0f} m, since satellites are outside "
+                f"the model's range; got {value:,.0f} m. To approximate the view, fly at that height with "
+                f"`sensor.focal_length_mm` × {MAX_ALTITUDE_M / value:.3g} for an equal ground sample distance"
+            )
+        return value
 
     @model_validator(mode="after")
     def _keys_fit_the_kind(self) -> Self:

@@ -214,6 +214,9 @@ class Sky:
     view_zenith_rad: Float[Array, "view_zenith"]
 
 
+_AT_GROUND = {"path_gas": 1.0, "path_map": 0.0, "transmittance": 1.0}
+
+
 def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:
     """Convert a dataset of schema ``atmosphere`` to a sky at the altitude of the sensor.
 
@@ -222,21 +225,22 @@ def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:
     tables
         From `glintrack.atmosphere.solve_tables`.
     altitude_m
-        Altitude of the sensor above the ground, within the tables. [m]
+        Altitude of the sensor above the ground, up to the highest of the tables. Below the lowest the air
+        is interpolated to none at the ground. [m]
     """
-    altitudes = tables["altitude"].values.astype(float)
-    if not altitudes[0] - 1e-6 <= altitude_m <= altitudes[-1] + 1e-6:
+    altitudes = np.r_[0.0, tables["altitude"].values]
+    if not 0 <= altitude_m <= altitudes[-1] + 1e-6:
         raise ValueError(
-            f"`altitude_m` must lie within the atmosphere's tables, {altitudes[0]:g} to {altitudes[-1]:g} m, "
+            f"`altitude_m` must lie within the atmosphere's tables, 0 to {altitudes[-1]:g} m, "
             f"got {altitude_m:g} (see atmosphere.altitudes_m)"
         )
     high = min(max(int(np.searchsorted(altitudes, altitude_m)), 1), len(altitudes) - 1)
-    low = max(high - 1, 0)
-    part = float((altitude_m - altitudes[low]) / (altitudes[high] - altitudes[low])) if high else 0.0
+    part = float((altitude_m - altitudes[high - 1]) / (altitudes[high] - altitudes[high - 1]))
 
     def at_altitude(name: str, leading: str = "wavelength") -> Array:
         values = tables[name].transpose(leading, "altitude", ...).values.astype(float)
-        return (1 - part) * values[:, low] + part * values[:, high]
+        low = values[:, high - 2] if high > 1 else _AT_GROUND[name]
+        return (1 - part) * low + part * values[:, high - 1]
 
     zenith, azimuth = float(tables.attrs["sun_zenith_rad"]), float(tables.attrs["sun_azimuth_rad"])
     across = np.sin(zenith)
