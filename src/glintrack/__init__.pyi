@@ -12,6 +12,7 @@ from . import (
     track,
 )
 from .camera import Camera, Pose
+from .case.check import assess_case
 from .case.design import Case
 from .case.packaged import list_cases
 from .core.installation import citation
@@ -29,6 +30,7 @@ __all__ = [
     "Case",
     "Pose",
     "__version__",
+    "assess_case",
     "atmosphere",
     "build_scene",
     "citation",

@@ -222,3 +222,21 @@ def test_the_schema_lists_every_table(monkeypatch, capsys):
 @pytest.mark.parametrize("name", ["quickstart", "braunschweig"])
 def test_packaged_cases_are_valid(monkeypatch, name, capsys):
     assert program(monkeypatch, "case", "check", name) == 0
+    said = capsys.readouterr().out
+    assert "25 good, 0 doubtful, 0 bad" in said and "e+0" not in said
+    assert max(len(line) for line in said.splitlines() if line.startswith("  ")) <= 80
+
+
+def test_a_bad_case_is_simulated_with_force_only(monkeypatch, three_cars, case_file, tmp_path, capsys):
+    case_file.write_text(SMALL.replace("frames = 9", "frames = 9\nstare_east_m = 5000"), encoding="utf-8")
+    assert program(monkeypatch, "run", case_file, "-o", tmp_path / "out") == 2
+    told = capsys.readouterr().err
+    assert "must have no bad quantity; got 1: the stare point is" in told and "--force" in told
+    assert not (tmp_path / "out").exists() and told.count("\n") == 1
+    assert program(monkeypatch, "case", "check", case_file, "--json") == 0
+    records = json.loads(capsys.readouterr().out)
+    assert [one["name"] for one in records if one["answer"] == "bad"] == ["beyond_window"]
+    monkeypatch.setattr("glintrack.cli.run.is_complete", lambda: True)
+    monkeypatch.setattr("glintrack.cli.run.run_case", lambda *arguments: pytest.fail("simulated", False))
+    with pytest.raises(pytest.fail.Exception):
+        program(monkeypatch, "run", case_file, "-o", tmp_path / "out", "--force")

@@ -123,7 +123,8 @@ def _call(line: str, **more) -> Call:
 
 GROUPS = ("study", "dataset", "case", "scene", "atmosphere", "sensor", "device")
 CALLS = (
-    _call("run @case.toml -o >flown"),
+    _call("run @case.toml -o >flown --force"),
+    _call("case check @case.toml --json"),
     _call("report @result -o >page.html"),
     _call("report @study -o >page.html"),
     _call("view @result --port 0", ends=False),

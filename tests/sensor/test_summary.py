@@ -16,7 +16,6 @@ def test_summary_says_the_sensors_own_figures():
         sensor.electrons_per_radiance, abs=0.05
     )
     assert float(said["diattenuation over the band"]) == pytest.approx(sensor.diattenuation, abs=5e-5)
-    assert said["an element at 3000 m"] == "0.750 m"
     assert "spectrometer" not in dict(summary(sensor_of(layout="pan")))
 
 

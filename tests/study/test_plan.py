@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from glintrack.study import read_plan
+from glintrack.study.plan import design_notes
 from tests.study.cases import TWELVE, write_study
 
 
@@ -205,3 +206,11 @@ def test_the_field_of_view_stays_as_the_focal_length_changes(tmp_path):
     one_superpixel = 2 * base.pitch_um / base.focal_length_mm
     np.testing.assert_allclose(seen, seen[0], atol=one_superpixel)
     assert [c.sensor.columns / base.columns for c in cases] == pytest.approx([1, 2, 2, 4], abs=0.01)
+
+
+def test_bad_designs_are_named_and_stay_in_the_study(tmp_path):
+    text = 'design = "factorial"\nseeds = [1, 2]\n[axes]\nsensor.integration_time_ms = [0.085, 50, 90]\n'
+    found = plan(tmp_path, text)
+    (note,) = design_notes(found)
+    assert note.startswith("bad in 2 of 3 designs, which are simulated nevertheless: white paint")
+    assert len(found.cases) == 6

@@ -4,12 +4,13 @@ from glintrack.atmosphere.design import AtmosphereDesign
 from glintrack.atmosphere.directions import interpolate_map, path_stokes, sky_stokes
 from glintrack.atmosphere.solve import rayleigh_slab
 from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
-from glintrack.atmosphere.tables import solve_tables
+from glintrack.atmosphere.tables import is_solved, solve_tables
 
 __all__ = [
     "AtmosphereDesign",
     "earth_sun_distance",
     "interpolate_map",
+    "is_solved",
     "path_stokes",
     "rayleigh_slab",
     "sky_stokes",

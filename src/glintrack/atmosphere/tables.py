@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable
 from contextlib import nullcontext
 from importlib.resources import as_file, files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,12 @@ def solve_tables(
     return check(with_radiances(tables), "atmosphere")
 
 
+def is_solved(design: AtmosphereDesign) -> bool:
+    """Return True if `solve_tables` reads the tables of a design from the package or the user's cache."""
+    stem, folder = content_stem(design.content_key()), cache_folder("atmosphere")
+    return _shipped(design).is_file() or any(folder.glob(f"{stem}-*.nc"))
+
+
 def solve_in_worker(
     design: AtmosphereDesign,
     scratch: Path,
@@ -103,11 +110,15 @@ def with_radiances(tables: xr.Dataset) -> xr.Dataset:
 
 def read_shipped(design: AtmosphereDesign) -> xr.Dataset | None:
     """Read the package's tables of this design; None if there are none."""
-    resource = files("glintrack") / "data" / "atmosphere" / f"tables_{design.content_key()}.nc"
+    resource = _shipped(design)
     if not resource.is_file():
         return None
     with as_file(resource) as path:
         return xr.load_dataset(path, engine="h5netcdf")
+
+
+def _shipped(design: AtmosphereDesign) -> Traversable:
+    return files("glintrack") / "data" / "atmosphere" / f"tables_{design.content_key()}.nc"
 
 
 def write_tables(tables: xr.Dataset, path: Path) -> None:

@@ -1,151 +1,138 @@
-"""Derived quantities of a case: sampling of ground and cars, dwell time, and what is unusual about them.
-
-Geometry over level ground at the stare point: the ground sample distance across the line of sight is
-pitch × slant range / focal length (Table 1 of the paper), along it that over the off-nadir angle's cosine.
-"""
+"""Judge a design by derived quantities and the limits of ``data/calibration/design_limits.toml``."""
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from typing import Any, Literal
 
-import numpy as np
-
-from glintrack.atmosphere import sun_direction
 from glintrack.case.design import Case
-from glintrack.core.schema import MIN_SCORED_S
-from glintrack.core.spectral import quadrature_weights
-from glintrack.sensor.layouts import MIRROR, OPEN
-from glintrack.sensor.polarizer import load_polarizer
-from glintrack.sensor.response import analyser_response, element_response, photon_gain, reference_light
+from glintrack.case.quantities import (
+    CITY_SPEED_M_S,
+    cost_quantities,
+    light_quantities,
+    machine_memory_bytes,
+    motion_quantities,
+    optics_quantities,
+    view_quantities,
+)
+from glintrack.core.units import format_duration, format_number
+from glintrack.io.toml import read_toml
+from glintrack.track.calibration import calibration_file
 
-_CAR_M = (4.5, 1.8)
-_CITY_SPEED_M_S = 13.9
-_WHITE = 0.8  # reflectance of fresh paint and markings
-_MAX_FIELD_DEG, _MIN_ELEMENTS, _MIN_FRAMES = 30.0, 2.0, 10.0
+Group = Literal["view", "sensor", "motion", "cost"]
+GROUPS: tuple[Group, ...] = ("view", "sensor", "motion", "cost")
 
 
 @dataclass(frozen=True)
-class Feasibility:
-    """Derived quantities of a case over level ground.
+class Judgement:
+    """One derived quantity of a case, and whether it is good.
 
     Parameters
     ----------
-    field_of_view_deg
-        Across and down the array. [°]
-    gsd_m
-        Ground sample distance of an element across and along the line of sight, at the stare point. [m]
-    field_m
-        Ground in the field of view across and along, at that distance. [m]
-    elements_on_car
-        Area of a car's plan over that of an element on the ground. [1]
-    dwell_s, dwell_frames
-        Time in which a vehicle at 50 km/h crosses that field, and frames in it. [s, 1]
-    well_filled
-        Electrons of sunlit white paint over the full-well capacity. [1]
-    of_sensor, of_flight
-        Sentences on unusual values of the sensor and its view, and of the flight.
+    name, label, group
+        Name in the table of limits, words for it, and what it is about.
+    value, unit
+        Value in its SI unit or as a share, and the unit of `text`; infinite if nothing limits a time.
+    answer
+        ``good``, ``doubtful`` or ``bad``.
+    good
+        Range of good values.
+    reason
+        What a value out of that range means and what changes it; empty for a good one.
     """
 
-    field_of_view_deg: tuple[float, float]
-    gsd_m: tuple[float, float]
-    field_m: tuple[float, float]
-    elements_on_car: float
-    dwell_s: float
-    dwell_frames: float
-    well_filled: float
-    of_sensor: tuple[str, ...] = ()
-    of_flight: tuple[str, ...] = ()
+    name: str
+    label: str
+    group: Group
+    value: float
+    unit: str
+    answer: Literal["good", "doubtful", "bad"]
+    good: str
+    reason: str = ""
 
-    def lines(self) -> list[str]:
-        """Quantities as text, one on each line."""
-        return [
-            f"field of view        {self.field_of_view_deg[0]:.3g}° × {self.field_of_view_deg[1]:.3g}°",
-            f"element on ground    {self.gsd_m[0]:.3g} m across, {self.gsd_m[1]:.3g} m along the view",
-            f"field on ground      {self.field_m[0]:.0f} m × {self.field_m[1]:.0f} m",
-            f"elements on a car    {self.elements_on_car:.3g}",
-            f"dwell at 50 km/h     {self.dwell_s:.3g} s, {self.dwell_frames:.3g} frames",
-            f"white paint fills    {100 * self.well_filled:.3g} % of the well",
-        ]
+    @property
+    def text(self) -> str:
+        """Value with its unit, to three significant digits."""
+        return _format(self.value, self.unit)
+
+    def record(self) -> dict[str, Any]:
+        """Values by name, for JSON: None for an infinite or unknown value."""
+        return asdict(self) | {"value": self.value if math.isfinite(self.value) else None, "text": self.text}
 
 
-def ground_view(case: Case) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Ground sample distance and field of view on flat ground at the stare point, across and along. [m]
+def assess_case(
+    case: Case, groups: Collection[Group] = GROUPS, fastest_m_s: float = CITY_SPEED_M_S
+) -> list[Judgement]:
+    """Judge a case by its keys alone, without a simulation.
 
-    A flight along waypoints counts with the altitude and off-nadir angle of ``[flight]``.
+    Parameters
+    ----------
+    case
+        The design. Geometry is that over level ground at the stare point.
+    groups
+        What to judge: ``view``, ``sensor``, ``motion`` and ``cost``.
+    fastest_m_s
+        Speed of the fastest vehicles. [m s⁻¹]
+
+    Returns
+    -------
+    One judgement for each quantity, in the order of the table of limits.
+
+    Raises
+    ------
+    ValueError
+        If a file that the sensor names cannot be read.
     """
-    sensor, off_nadir = case.sensor, math.radians(case.flight.off_nadir_deg)
-    slant_m = case.flight.altitude_m / math.cos(off_nadir)
-    across_m = sensor.ifov_rad * slant_m
-    along_m = across_m / math.cos(off_nadir)
-    return (across_m, along_m), (sensor.columns * across_m, sensor.rows * along_m)
+    found = view_quantities(case) if "view" in groups else {}
+    if "sensor" in groups:
+        found |= optics_quantities(case) | light_quantities(case)
+    if "motion" in groups:
+        found |= motion_quantities(case, fastest_m_s)
+    if "cost" in groups:
+        found |= cost_quantities(case)
+    return [_judge(name, limits, found[name]) for name, limits in _read_limits().items() if name in found]
 
 
-def assess(case: Case) -> Feasibility:
-    """Derive the quantities of a case over level ground, from its keys alone (see `ground_view`)."""
-    sensor, flight = case.sensor, case.flight
-    (across_m, along_m), field_m = ground_view(case)
-    dwell_s = field_m[0] / _CITY_SPEED_M_S
-    figures = Feasibility(
-        field_of_view_deg=sensor.field_of_view_deg,
-        gsd_m=(across_m, along_m),
-        field_m=field_m,
-        elements_on_car=_CAR_M[0] * _CAR_M[1] / (across_m * along_m),
-        dwell_s=dwell_s,
-        dwell_frames=dwell_s * flight.rate_hz,
-        well_filled=_well_filling(case),
+def bad_reasons(case: Case) -> list[str]:
+    """Reasons for which a case should not be simulated as it is; empty for most cases."""
+    return [one.reason for one in assess_case(case) if one.answer == "bad"]
+
+
+@cache
+def _read_limits() -> Mapping[str, Mapping[str, Any]]:
+    return read_toml(calibration_file("design_limits"), "limits")
+
+
+def _judge(name: str, limits: Mapping[str, Any], value: float) -> Judgement:
+    unit, (low, high), (least, most) = limits["unit"], limits["good"], limits["usable"]
+    answer, reason = "good", ""
+    if not low <= value <= high:
+        answer = "doubtful" if least <= value <= most else "bad"
+        sentence = limits["high" if value > high or "low" not in limits else "low"]
+        reason = sentence.format(value=_format(value, unit), number=format_number(value))
+    bounds = [_format(bound, unit) for bound in (low, high)]
+    good = f"{bounds[0].split()[0]} to {bounds[1]}"
+    if low == 0 or math.isinf(high):
+        good = f"≥ {bounds[0]}" if math.isinf(high) else f"≤ {bounds[1]}"
+    return Judgement(
+        name=name,
+        label=limits["label"],
+        group=limits["group"],
+        value=value,
+        unit=unit,
+        answer=answer,
+        good=good,
+        reason=reason,
     )
-    of_sensor, of_flight = tuple(_sensor_notes(case, figures)), tuple(_flight_notes(case, figures))
-    return replace(figures, of_sensor=of_sensor, of_flight=of_flight)
 
 
-def _well_filling(case: Case) -> float:
-    """Electrons of level white paint in AM1.5G light at the sun's height, over the full-well capacity. [1]"""
-    um = np.asarray(case.atmosphere.wavelength_um)
-    bare = any(what in (OPEN, MIRROR) for row in case.sensor.superpixel for what in row)
-    if bare or not case.sensor.has_stokes:
-        response = element_response(case.sensor, um)
-    else:
-        response = analyser_response(case.sensor, load_polarizer(case.sensor), um)[0]
-    used = response > 0
-    if not used.any():
-        return 0.0
-    spectrum = reference_light(case.sensor.replace({"reference_spectrum": "am15g"}), um)  # [W m⁻² nm⁻¹]
-    cosine = math.cos(sun_direction(case.atmosphere)[0])
-    radiance = spectrum * 1e3 * _WHITE * cosine / math.pi  # [W m⁻² sr⁻¹ µm⁻¹]
-    weights = quadrature_weights(um) * um * response
-    mean = float((weights * radiance).sum() / weights.sum())
-    return mean * photon_gain(case.sensor, um, response) / case.sensor.full_well_e
-
-
-def _sensor_notes(case: Case, of: Feasibility) -> Iterator[str]:
-    if max(of.field_of_view_deg) > _MAX_FIELD_DEG:
-        yield (
-            f"`sensor.focal_length_mm` gives a field of view of {max(of.field_of_view_deg):.0f}°: the ground "
-            "sample distance differs much over the frame"
-        )
-    if of.elements_on_car < _MIN_ELEMENTS:
-        yield f"a car covers {of.elements_on_car:.2g} elements of {of.gsd_m[0]:.3g} m × {of.gsd_m[1]:.3g} m"
-    if of.well_filled > 1:
-        yield (
-            f"white paint in the sun fills the well {of.well_filled:.2g} times over: shorten "
-            "`sensor.integration_time_ms`"
-        )
-    if of.well_filled < 0.01:
-        yield f"white paint in the sun fills {100 * of.well_filled:.2g} % of the well: noise will show"
-    flight, (wide, high) = case.flight, case.scene.size_m
-    east, north = abs(flight.stare_east_m) - wide / 2, abs(flight.stare_north_m) - high / 2
-    outside_m = math.hypot(max(east, 0.0), max(north, 0.0))
-    if not case.scene.uses_mesh_window and outside_m > math.hypot(*of.field_m) / 2:
-        yield (
-            f"the array looks {outside_m:.0f} m beyond the window of {wide:g} m × {high:g} m: "
-            "`flight.stare_east_m` and `flight.stare_north_m` are from its centre"
-        )
-
-
-def _flight_notes(case: Case, of: Feasibility) -> Iterator[str]:
-    if of.dwell_frames < _MIN_FRAMES:
-        yield f"a vehicle at 50 km/h is in sight for {of.dwell_frames:.2g} frames"
-    if case.flight.frames < _MIN_FRAMES:
-        yield f"{case.flight.frames} frames are few to confirm a track"
-    elif (length_s := (case.flight.frames - 1) / case.flight.rate_hz) < MIN_SCORED_S:
-        yield f"{case.flight.frames} frames in {length_s:.2g} s are too short: the background is learnt first"
+def _format(value: float, unit: str) -> str:
+    if not math.isfinite(value):
+        return "no limit" if value > 0 else "not known"
+    if unit == "time":
+        return format_duration(value)
+    if unit == "memory":
+        return f"{format_number(1e-9 * value * (machine_memory_bytes() or 0))} GB"
+    number = format_number(100 * value if unit == "%" else value)
+    return f"{number}°" if unit == "°" else f"{number} {unit}".strip()

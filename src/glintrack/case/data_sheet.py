@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from glintrack.case.check import ground_view
 from glintrack.case.design import Case
+from glintrack.case.quantities import ground_view
 from glintrack.core.designs import validate_design
 from glintrack.core.schema import MIN_SCORED_S
 from glintrack.sensor.catalogue import CatalogueItem, electrons_of, find_item

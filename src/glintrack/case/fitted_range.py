@@ -3,8 +3,8 @@
 The ranges are in ``data/calibration``. A case outside them runs, with a warning.
 """
 
-from glintrack.case.check import ground_view
 from glintrack.case.design import Case
+from glintrack.case.quantities import ground_view
 from glintrack.track.calibration import read_calibration
 
 # a calibration holds for that much more or less than it was fitted at: a share, or an angle
@@ -16,7 +16,7 @@ def describe_initiation(case: Case) -> str:
     initiation = case.track.effective(True).initiation
     rules = initiation.in_use
     return (
-        f"confirmation         {rules.confirm_hits} of {rules.confirm_window} frames, "
+        f"confirmation: {rules.confirm_hits} of {rules.confirm_window} frames, "
         f"{rules.confirm_min_age_s:g} s, {rules.confirm_travel_m:g} m, {rules.confirm_speed_m_s:g} m/s "
         f"(rules {initiation.rules!r}); coasting {initiation.coast_s:g} s, "
         f"stopped {rules.stopped_coast_s:g} s"

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,11 +14,12 @@ from rich.table import Table
 from rich.text import Text
 
 from glintrack.case.build import check_place
-from glintrack.case.check import assess
+from glintrack.case.check import Judgement, assess_case
 from glintrack.case.data_sheet import DataSheet, Polarizers, case_text
 from glintrack.case.design import Case
 from glintrack.case.fitted_range import describe_initiation, tracker_notes
 from glintrack.case.packaged import find_case, list_cases, list_studies
+from glintrack.case.quantities import CITY_SPEED_M_S, fastest_speed_m_s
 from glintrack.cli.options import (
     CaseArgument,
     OutsidePathsOption,
@@ -49,33 +51,53 @@ def show_cases() -> None:
 
 
 @app.command()
-def check(case: CaseArgument, allow_outside_paths: OutsidePathsOption = False) -> None:
-    """Validate a case and the files it names, and print its derived quantities."""
+def check(
+    case: CaseArgument,
+    as_json: Annotated[bool, option("Print the judgements as JSON", "--json")] = False,
+    allow_outside_paths: OutsidePathsOption = False,
+) -> None:
+    """Validate a case and the files it names, and judge its derived quantities: good, doubtful or bad."""
     path = find_case(case)
     design = Case.from_toml(path, allow_outside_paths)
     flight = design.flight
     build_sensor(design.sensor, design.atmosphere.wavelength_um)
     if flight.kind == "waypoints":
         check_waypoints(flight)
-    console = open_console()
+    console = Console(stderr=True) if as_json else open_console()
+    recording_duration_s, fastest_m_s = design.scene.recording_duration_s, CITY_SPEED_M_S
     if design.scene.uses_files or design.scene.panels:
         with show_wait(console, "building the city"):
             city = build_scene(design.scene)
         check_place(design.atmosphere, city)
-        recording_duration_s = city.duration_s
-    else:
-        recording_duration_s = design.scene.recording_duration_s
+        recording_duration_s, fastest_m_s = city.duration_s, fastest_speed_m_s(city, flight)
     check_recorded(flight, recording_duration_s)
-    about = assess(design)
+    judgements = assess_case(design, fastest_m_s=fastest_m_s)
+    if as_json:
+        print(json.dumps([one.record() for one in judgements], indent=2, ensure_ascii=False))
+        return
     console.print(
         f"{path} is a valid case: {flight.frames} frames at {flight.rate_hz:g} Hz over {design.scene.city}"
     )
+    print_judgements(console, judgements)
+    console.print(describe_initiation(design))
     for line in (
-        *(f"  {line}" for line in [*about.lines(), describe_initiation(design)]),
-        *(f"  derived: {value}" for value in derived_values(design.sensor)),
-        *(f"warning: {one}" for one in [*about.of_sensor, *about.of_flight, *tracker_notes(design)]),
+        *(f"derived: {value}" for value in derived_values(design.sensor)),
+        *(f"warning: {note}" for note in tracker_notes(design)),
     ):
         console.print(line)
+    count = Counter(one.answer for one in judgements)
+    console.print(", ".join(f"{count[answer]} {answer}" for answer in ("good", "doubtful", "bad")))
+    if count["bad"]:
+        console.print("glintrack run simulates this case with --force only")
+
+
+def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
+    """Print a table of judgements, and below it the reasons of those that are not good."""
+    rows = [(one.label, one.text, one.answer, one.good) for one in judgements]
+    console.print(make_table(None, ("quantity", "value", "judgement", "good is"), rows, left=4))
+    for one in judgements:
+        if one.reason:
+            console.print(f"{one.answer}: {one.reason}")
 
 
 @app.command()

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
 from glintrack.bounds import STAGE_LABELS, STAGES_NOTE
+from glintrack.case.check import bad_reasons
 from glintrack.case.design import Case
 from glintrack.case.fitted_range import tracker_notes
 from glintrack.case.packaged import find_case
@@ -93,6 +94,7 @@ def run(
         ),
     ] = None,
     require: RequireOption = None,
+    force: Annotated[bool, option("Simulate a case with bad quantities too (glintrack case check)")] = False,
     allow_outside_paths: OutsidePathsOption = False,
 ) -> None:
     """Simulate a case: city, frames, tracks and scores; writes a result folder.
@@ -112,6 +114,11 @@ def run(
         design = design.replace({"flight.frames": min(frames, whole)})
     for one in requirements:
         one.check_channel(design.channels)
+    if not force and (bad := bad_reasons(design)):
+        raise ValueError(
+            f"`case` must have no bad quantity; got {len(bad)}: {'; '.join(bad)} "
+            "(`glintrack case check` judges all; --force simulates the case nevertheless)"
+        )
     check_new_folder(output or Path(f"result-{design.name}"))
     console = open_console()
     for note in tracker_notes(design):

@@ -7,8 +7,10 @@ from typing import Annotated
 from matplotlib.figure import Figure
 
 from glintrack.case.build import trace_frame
+from glintrack.case.check import assess_case
 from glintrack.case.design import Case, read_table
 from glintrack.case.packaged import find_case
+from glintrack.cli.case import print_judgements
 from glintrack.cli.options import (
     CaseArgument,
     argument,
@@ -79,7 +81,7 @@ def show(
     design: Annotated[str, argument("Packaged sensor, or a TOML file with a [sensor] table")],
     mtf: Annotated[Path | None, option("Figure of the MTF to write, .png")] = None,
 ) -> None:
-    """Print derived quantities of a sensor: resolution, electrons, noise, polarizers, modulation transfer."""
+    """Print derived quantities of a sensor, and judge them in the light of the packaged case quickstart."""
     found = read_table(SensorDesign, design, "sensor", "ready", design_names())
     if mtf is not None:
         check_output(mtf, ".png", option="--mtf")
@@ -89,6 +91,7 @@ def show(
     console.print(make_table("sensor", (), summary(sensor)))
     for value in derived_values(found):
         console.print(f"derived: {value}")
+    print_judgements(console, assess_case(Case().model_copy(update={"sensor": found}), ("sensor",)))
     if mtf is not None:
         figure = Figure(figsize=(7, 4.5), layout="constrained")
         draw_transfer(figure.subplots(), transfer_curves(sensor.design))

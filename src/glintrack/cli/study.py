@@ -47,7 +47,7 @@ from glintrack.study import (
     write_report,
     write_results,
 )
-from glintrack.study.plan import field_notes, length_notes
+from glintrack.study.plan import design_notes, field_notes, length_notes
 from glintrack.study.report import check_points, view_notes
 from glintrack.study.text_tables import (
     answer,
@@ -94,7 +94,7 @@ def run(
     folder = StudyFolder(output or Path(f"study-{plan.design.name}"))
     frame_cache = cache or cache_folder("hits")
     console = open_console()
-    for note in (*field_notes(plan), *length_notes(plan)):
+    for note in (*field_notes(plan), *length_notes(plan), *design_notes(plan)):
         console.print(note)
     if dry_run:
         folder.check(plan)

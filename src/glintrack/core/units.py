@@ -1,5 +1,6 @@
 """Unit of a key of a design, from the ending of its name; times and numbers as people write them."""
 
+import math
 import re
 
 _DECIMAL_COMMA = re.compile(r"\s*([-+]?\d+),(\d+)\s*")
@@ -47,3 +48,11 @@ def decimal_comma_hint(value: object) -> str:
     """Remedy for a number with a decimal comma, such as " (write 3.45)"; empty for anything else."""
     found = _DECIMAL_COMMA.fullmatch(value) if isinstance(value, str) else None
     return f" (write {found[1]}.{found[2]}, with a point)" if found else ""
+
+
+def format_number(value: float, digits: int = 3) -> str:
+    """Format a number to some significant digits, with thousands separators: ``1,110``, ``0.0797``."""
+    if not math.isfinite(value) or abs(value) < 1e-6:
+        return f"{value:.0f}"
+    rounded = float(f"{value:.{digits - 1}e}")
+    return f"{rounded:,.{max(digits - 1 - math.floor(math.log10(abs(rounded))), 0)}f}"

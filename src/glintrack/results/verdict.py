@@ -14,8 +14,9 @@ import numpy as np
 import xarray as xr
 
 from glintrack.atmosphere import sun_direction
-from glintrack.case.check import assess, ground_view
+from glintrack.case.check import assess_case
 from glintrack.case.design import Case
+from glintrack.case.quantities import ground_view
 from glintrack.core.schema import MIN_SCORED_S
 
 CHANNEL_WORDS: Mapping[str, str] = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
@@ -272,7 +273,8 @@ def _about_design(
             f"(`bound.every`), got {case.flight.frames}."
         )
     with contextlib.suppress(OSError, ValueError):  # a file that the case names is not here
-        yield from (f"Design: {warning}." for warning in assess(case).of_sensor)
+        judged = assess_case(case, ("view", "sensor"))
+        yield from (f"Design: {one.reason}." for one in judged if one.answer == "bad")
     valid, false = (float(scores.get(key, math.nan)) for key in ("held_per_km2", "false_per_km2"))
     limit, share = case.track.reporting.max_false_share, false / (valid + false) if false > 0 else math.nan
     found = f"/{name}/detections"

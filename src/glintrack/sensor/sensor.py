@@ -27,7 +27,6 @@ from glintrack.sensor.response import (
     spectrometer_bands,
     spectrometer_response,
 )
-from glintrack.sensor.wavefront import modulation_transfer
 from glintrack.stokes import rotate_qu
 
 ETALON_STEPS = 60  # gaps of a sweep, in equal times
@@ -282,24 +281,19 @@ def noise_equivalent_radiance(sensor: Sensor) -> float:
 
 
 def summary(sensor: Sensor) -> list[tuple[str, str]]:
-    """Names and values of derived quantities: resolution, electrons, noise, polarizers, transfer."""
+    """Names and values of derived quantities: field of view, electrons, noise, polarizers."""
     design = sensor.design
     reading = sensor.electrons_per_radiance
     full, half = design.full_well_e / reading, design.full_well_e / 2
-    nyquist = np.array([500 / design.pitch_um])
-    middle = sum(design.band_um) / 2
-    transfer = float(modulation_transfer(design, middle, nyquist)[0])
     kernel = sensor.kernels[0]
     node = kernel.strength.shape[0] // 2
     rows = [
         ("field of view", " × ".join(f"{angle:.2f}°" for angle in design.field_of_view_deg)),
-        ("an element at 3000 m", f"{3000 * design.ifov_rad:.3f} m"),
         ("electrons per W m⁻² sr⁻¹ µm⁻¹", f"{reading:.1f}"),
         ("radiance that fills the well", f"{full:.1f} W m⁻² sr⁻¹ µm⁻¹"),
         ("noise in the dark", f"{noise_equivalent_radiance(sensor):.3g} W m⁻² sr⁻¹ µm⁻¹"),
         ("", f"{design.dark_noise_e:.1f} e"),
         ("signal to noise, half full", f"{half / math.sqrt(design.noise_variance_e2(half)):.0f}"),
-        ("MTF at Nyquist", f"{transfer:.3f} at {nyquist[0]:.1f} mm⁻¹ and {middle:.2f} µm"),
         ("light on the element it belongs to", f"{kernel.at(node, node).max():.3f}"),
     ]
     if design.has_stokes:

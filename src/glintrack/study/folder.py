@@ -20,8 +20,8 @@ import pyarrow as pa
 import pyarrow.parquet
 import xarray as xr
 
-from glintrack.case.check import ground_view
 from glintrack.case.design import Case
+from glintrack.case.quantities import ground_view
 from glintrack.io import atomic, netcdf
 from glintrack.io.atomic import content_hash
 from glintrack.io.toml import to_toml

@@ -11,6 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from glintrack.case.check import assess_case
 from glintrack.case.design import Case, read_case
 from glintrack.case.packaged import PACKAGED_CASES, find_case
 from glintrack.core.designs import MAX_DEPTH
@@ -39,6 +40,7 @@ FIELD_KEYS = (
     "sensor.pitch_um",
     "sensor.focal_length_mm",
 )  # of the field of view
+MAX_JUDGED = 20  # designs of a study
 DECIDE_SCORES = ("embreex", "eclipse-sumo", "sasktran2")
 _PACKAGE = Path(__file__).parents[1]
 # parts that show results or run cases, and do not influence scores
@@ -264,6 +266,25 @@ def field_notes(plan: Plan) -> list[str]:
         "(`constraints.constant_field = true` adapts rows and columns)"
         for axis in plan.axes
         if len({field_of(keys) for keys in axis.keys}) > 1 or (axis.span and axis.name in FIELD_KEYS)
+    ]
+
+
+def design_notes(plan: Plan) -> list[str]:
+    """Sentence for each quantity that is bad in some designs, which are simulated nevertheless.
+
+    Of many designs `MAX_JUDGED` are judged, evenly spread.
+    """
+    first = plan.points[0].replicate
+    keys = list(dict.fromkeys(point.case_key for point in plan.points if point.replicate == first))
+    judged = keys[:: -(-len(keys) // MAX_JUDGED)]
+    bad: dict[str, list[str]] = {}
+    for key in judged:
+        for one in assess_case(plan.cases[key], ("view", "sensor", "motion")):
+            if one.answer == "bad":
+                bad.setdefault(one.name, []).append(one.reason)
+    return [
+        f"bad in {len(reasons)} of {len(judged)} designs, which are simulated nevertheless: {reasons[0]}"
+        for reasons in bad.values()
     ]
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from glintrack.case.design import Case
+from glintrack.case.quantities import estimate_cpu_s
 from glintrack.core.units import format_duration
 from glintrack.study.folder import StudyFolder
 from glintrack.study.hits import HitsCache, entry_size_bytes, frame_times, geometry
@@ -18,9 +19,6 @@ from glintrack.study.workers import Pool, Simulate, Task, attempt, is_worker_los
 
 _POLL_S = 1.0  # interval at which interrupts and workers are checked
 _WORKER_LOST = "The worker of the case was lost: killed, out of memory, or crashed."
-# processor time on one core, from flights of quickstart: imports, city and sky; an element of a frame with
-# three channels; each of its rays; a frame of the loss budget over a plain one
-BUILD_S, SECONDS_PER_ELEMENT, SECONDS_PER_RAY, BUDGET_FACTOR = 9.0, 3e-6, 0.7e-6, 2.3
 BYTES_PER_FRAME = 20e3  # of a result, for each channel of the quickstart
 
 
@@ -311,14 +309,6 @@ class StudyPace:
         """State the number of finished cases and the time left."""
         count = f"{self.count - len(self._left)}/{self.count} cases"
         return f"{count}, {format_duration(self.remaining_s(workers))} left" if self._left else count
-
-
-def estimate_cpu_s(case: Case) -> float:
-    """Rough processor time of a whole flight, as a weight before any case has finished. [s]"""
-    sensor, frames, every = case.sensor, case.flight.frames, case.bound.every
-    measured = (frames - 1) // every if every else 0
-    frame_s = sensor.rows * sensor.columns * (SECONDS_PER_ELEMENT + SECONDS_PER_RAY * sensor.oversampling**2)
-    return BUILD_S + frame_s * (frames + (BUDGET_FACTOR - 1) * measured)
 
 
 @dataclass

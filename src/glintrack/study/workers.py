@@ -24,6 +24,7 @@ import xarray as xr
 
 from glintrack.bounds.run import FlightBudget
 from glintrack.case.design import Case
+from glintrack.case.quantities import machine_memory_bytes
 from glintrack.core.installation import require_extra
 from glintrack.io import netcdf
 from glintrack.io.toml import to_toml
@@ -316,11 +317,8 @@ def is_worker_loss(error: BaseException) -> bool:
 
 def memory_share(workers: int) -> int | None:
     """Share of each worker in four fifths of this machine's memory; None if not known. [byte]"""
-    try:
-        total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return None
-    return int(_MEMORY_SHARE * total / workers)
+    total = machine_memory_bytes()
+    return None if total is None else int(_MEMORY_SHARE * total / workers)
 
 
 @contextlib.contextmanager
