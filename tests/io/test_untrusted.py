@@ -49,7 +49,7 @@ def test_archives_are_bounded(tmp_path):
     with pytest.raises(ValueError, match="must hold at most 1 MB when unzipped"):
         read_bytes(path, "a", most_bytes=1_000_000)
     path.write_bytes(gzip.compress(b"one")[:-6])
-    with pytest.raises(ValueError, match="must be a whole gzip archive"):
+    with pytest.raises(ValueError, match="must be a whole gzip or bzip2 archive"):
         read_bytes(path, "a")
 
 

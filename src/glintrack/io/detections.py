@@ -143,7 +143,7 @@ def _read_rows(path: Path, name: str, id_column: str) -> tuple[xr.Dataset, pd.Da
     """Rows with time, id, position and velocity, and the whole table."""
     table = _read_columns(path, name, ("time_s", id_column, *POSITION))
     time_s, position = _times_and_positions(table, path)
-    ids = _finite_numbers(table, path, (id_column,))[:, 0]
+    ids = _identities(table, path, id_column)
     wrong = (ids != np.rint(ids)) | (ids < 0) | (ids >= 2**53)
     if wrong.any():
         raise ValueError(
@@ -181,6 +181,14 @@ def _read_rows(path: Path, name: str, id_column: str) -> tuple[xr.Dataset, pd.Da
         )
     )
     return xr.Dataset({key: ("row", column) for key, column in columns.items()}), table
+
+
+def _identities(table: pd.DataFrame, path: Path, column: str) -> Float[Array, "row"]:
+    """Identities as numbers; where one is a text, they are numbered in the order in which they appear."""
+    given = table[column]
+    if pd.api.types.is_numeric_dtype(given) or given.isna().any():
+        return _finite_numbers(table, path, (column,))[:, 0]
+    return pd.factorize(given.astype(str).str.strip())[0].astype(float)
 
 
 def _read_columns(path: Path, name: str, required: tuple[str, ...]) -> pd.DataFrame:

@@ -1,6 +1,7 @@
 """Read CSV tables, and write CSV and Parquet tables."""
 
 import codecs
+import contextlib
 import csv
 import io
 import re
@@ -15,7 +16,7 @@ import pyarrow.parquet
 import xarray as xr
 
 from glintrack.io.atomic import write_bytes
-from glintrack.io.untrusted import MAX_TEXT_BYTES, check_file, plain
+from glintrack.io.untrusted import MAX_TEXT_BYTES, check_file, open_unzipped, plain
 
 _MAX_COLUMNS, _MAX_ROW_BYTES = 5000, 10_000_000  # of a table; of its first row that are read
 _COMMENT = re.compile(rb"^[ \t]*#[^\n]*\n?", re.MULTILINE)
@@ -44,7 +45,7 @@ def read_csv(
     only
         Returns True for the names of columns to read.
     comments
-        Leave out lines that begin with ``#``. If False, the file is read piece by piece.
+        Leave out lines that begin with ``#``. If False, the file is read piece by piece, and may be zipped.
     most_bytes
         Maximum size of the file; None for no limit. [byte]
 
@@ -56,15 +57,16 @@ def read_csv(
     path = check_file(path, name, most_bytes)
     header = b""
     try:
-        with path.open("rb") as file:
+        with open_unzipped(path, name) as file:
             lines = iter(lambda: file.readline(_MAX_ROW_BYTES), b"")
             header = next((line for line in lines if line[:1] != b"#"), b"")
         if (columns := header.count(separator.encode()) + 1) > _MAX_COLUMNS:
             raise ValueError(f"more than {_MAX_COLUMNS} columns ({columns})")
-        source: Any = path
-        if comments:
-            source = io.BytesIO(_COMMENT.sub(b"", path.read_bytes().removeprefix(codecs.BOM_UTF8)))
-        with warnings.catch_warnings():
+        with contextlib.ExitStack() as stack:
+            source: Any = stack.enter_context(open_unzipped(path, name))
+            if comments:
+                source = io.BytesIO(_COMMENT.sub(b"", path.read_bytes().removeprefix(codecs.BOM_UTF8)))
+            stack.enter_context(warnings.catch_warnings())
             warnings.simplefilter("error", pd.errors.ParserWarning)
             table = pd.read_csv(
                 source,
@@ -78,8 +80,10 @@ def read_csv(
             )
     except pd.errors.EmptyDataError as error:
         raise ValueError(f"`{name}` must have a header row, got the empty file {path}") from error
-    except OSError as error:
-        raise ValueError(f"`{name}` must be a readable CSV file, got {path} ({error.strerror})") from error
+    except (OSError, EOFError) as error:
+        raise ValueError(
+            f"`{name}` must be a readable CSV file, got {path} ({getattr(error, 'strerror', None) or error})"
+        ) from error
     except (ValueError, TypeError, OverflowError, csv.Error, pd.errors.ParserWarning) as error:
         reason = plain(str(error).strip().splitlines()[-1], 200)
         if separator == "," and b";" in header:

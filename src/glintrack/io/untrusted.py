@@ -9,8 +9,10 @@ All readers of a user's files use this module. It imports nothing else of ours.
 - Rasters are opened only by drivers that neither follow references nor use a network.
 """
 
+import bz2
 import contextlib
 import functools
+import gzip
 import json
 import os
 import re
@@ -20,6 +22,7 @@ import subprocess
 import sys
 import warnings
 import zlib
+from io import BufferedIOBase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -108,40 +111,44 @@ def _read(path: str | Path, name: str, most_bytes: int) -> bytes:
 
 
 def read_bytes(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> bytes:
-    """Bytes of a file, unzipped if it is a gzip archive; both of limited size.
+    """Bytes of a file, unzipped if it is a gzip or bzip2 archive; both of limited size.
 
     Raises
     ------
     ValueError
         If the file cannot be read, is a damaged archive, or is too large.
     """
-    content = _read(path, name, most_bytes)
-    return unzip(content, Path(path), name, most_bytes) if content[:2] == b"\x1f\x8b" else content
+    with open_unzipped(check_file(path, name, most_bytes), name) as file:
+        try:
+            content = file.read(most_bytes + 1)
+        except (OSError, EOFError, zlib.error) as error:
+            raise ValueError(
+                f"`{name}` must be a whole gzip or bzip2 archive, got {path}: {error}"
+            ) from error
+    if len(content) > most_bytes:
+        raise ValueError(
+            f"`{name}` must hold at most {most_bytes / 1e6:g} MB when unzipped, got more in {path}"
+        )
+    return content
 
 
-def unzip(content: bytes, path: Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> bytes:
-    """Content of a gzip archive of one or several members, at most ``most_bytes``.
+def open_unzipped(path: str | Path, name: str) -> BufferedIOBase:
+    """Open a file to be read in pieces, unzipped if it is a gzip or bzip2 archive; bound what you read.
 
     Raises
     ------
     ValueError
-        If it is damaged, cut short or holds too much.
+        If there is no such file, or it cannot be read.
     """
-    parts, size = [], 0
+    path = check_file(path, name)
     try:
-        while content:
-            member = zlib.decompressobj(wbits=31)
-            parts.append(member.decompress(content, most_bytes - size + 1))
-            size += len(parts[-1])
-            if size > most_bytes:
-                most = f"{most_bytes / 1e6:g} MB"
-                raise ValueError(f"`{name}` must hold at most {most} when unzipped, got more in {path}")
-            if not member.eof:
-                raise zlib.error("the archive ends early")
-            content = member.unused_data.lstrip(b"\x00")
-    except zlib.error as error:
-        raise ValueError(f"`{name}` must be a whole gzip archive, got {path}: {error}") from error
-    return b"".join(parts)
+        with path.open("rb") as file:
+            head = file.read(3)
+        if head == b"BZh":
+            return bz2.open(path)
+        return gzip.open(path) if head[:2] == b"\x1f\x8b" else path.open("rb")
+    except OSError as error:
+        raise ValueError(f"`{name}` must be a readable file, got {path} ({error.strerror})") from error
 
 
 def read_text(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> str:

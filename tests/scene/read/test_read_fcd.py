@@ -6,8 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from glintrack.io.readings import collect_readings
 from glintrack.scene.objects.surfaces import RoadNetwork
-from glintrack.scene.read.fcd import fcd_table, model_of, read_fcd
+from glintrack.scene.read.fcd import fcd_table, read_fcd
+from glintrack.scene.read.vehicle_types import model_of
 from glintrack.scene.traffic import Recording, write_recording
 from glintrack.scene.vehicles import VEHICLE_CLASSES
 
@@ -53,6 +55,7 @@ def test_vehicle_that_vanishes_comes_back_as_another_or_not_at_all(tmp_path):
         ("0.34;90;b;car;3;0", "must be sampled every 0.1 s, as most of it is, got the time 0.34 s"),
         ("0.30;90;b;car;3,5;0;0", "must give each row the header's 6 columns, got 7 in data row 11"),
         ("0.30;90", "must give each row a vehicle"),
+        ("0:0:x;90;a;car;3;0", "must give each row a time"),
         ("0.30;90;b;car;x;0", "must give finite x in metres"),
         ("9e9;90;b;car;3;0", "must span at most 1e\\+06 s"),
     ],
@@ -104,7 +107,10 @@ def test_every_format_gives_the_same_traffic_and_what_was_written(tmp_path):
         assert (traffic.step_s, traffic.steps) == (0.5, 12)
         assert traffic.first.tolist() == [0, 0, 3] and traffic.count.tolist() == [12, 8, 9]
         assert [list(VEHICLE_CLASSES)[m] for m in traffic.model] == ["car", "car", "van"]
-        (change,) = changes
+        change, *others = changes
+        assert others == (
+            ["left out, because they are no road vehicles: 1 × person"] if "xml" in name else []
+        )
         assert change.startswith("2 vehicles are shown as the model")
         assert {"1 × no type", "1 × passenger/delivery_van"} == set(change.partition(": ")[2].split(", "))
         np.testing.assert_allclose(traffic.bumper_east, [row[3] for row in written])
@@ -117,7 +123,7 @@ def test_what_is_no_road_vehicle_is_told_and_keeps_the_clock(tmp_path):
     (tmp_path / "f.csv").write_text(HEAD + "\n".join(rows))
     traffic, changes = read_fcd(tmp_path / "f.csv", WINDOW)
     assert (traffic.step_s, traffic.steps) == (1.0, 4)
-    assert changes[0] == "what is no road vehicle is left out: 1 × tram, 1 × pedestrian"
+    assert changes[0] == "left out, because they are no road vehicles: 1 × tram, 1 × pedestrian"
 
 
 @pytest.mark.parametrize(
@@ -153,7 +159,40 @@ def test_parquet_whose_names_are_no_text_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("kind", "model"),
-    [("car", "car"), ("tank", "car"), ("CityBus", "bus"), ("truck_semitrailer", "truck"), ("veh_suv", "suv")],
+    [
+        *(
+            ("car", "car"),
+            ("tank", "car"),
+            ("CityBus", "bus"),
+            ("truck_semitrailer", "truck"),
+            ("veh_suv", "suv"),
+        ),
+        *(
+            ("motorbike", "motorcycle"),
+            ("trailer", "truck"),
+            ("semitrailer_truck", "truck"),
+            ("MotorBike2", "motorcycle"),
+        ),
+        *(
+            ("DEFAULT_VEHTYPE", "car"),
+            ("DEFAULT_BIKETYPE", None),
+            ("DEFAULT_PEDTYPE", None),
+            ("bike_bicycle", None),
+        ),
+        *(
+            ("rail_electric", None),
+            ("cable_car", None),
+            ("wheelchair", None),
+            ("e-scooter", None),
+            ("trams", None),
+        ),
+        *(
+            ("rail_replacement_bus", "bus"),
+            ("delivery_truck", "truck"),
+            ("passenger/van", "van"),
+            ("relationship", "car"),
+        ),
+    ],
 )
 def test_types_are_shown_as_the_model_their_name_suggests(kind, model):
     assert model_of(kind) == model
@@ -206,3 +245,101 @@ def test_traffic_makes_the_round_trip(tmp_path, ending):
     for name in ("bumper_east", "bumper_north"):
         np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=0.5e-3)
     np.testing.assert_allclose(after.angle, before.angle, atol=1e-4)
+
+
+STEPS = {0.0: [], 0.5: [("p0", "walker", 0, -8, None)], 1.0: [("a.0", "moto", 5, -5, "e_1")]}
+STEPS |= {1.5: [("a.0", "moto", 12, -5, "e_1"), ("p0", "walker", 1, -8, None)], 2.0: [], 2.5: []}
+
+
+def as_sumo_csv(clock=str, first="person"):
+    """The table SUMO writes: columns named after the first object, rows for empty time steps."""
+    names = ("id", "x", "y", "angle", "type", "lane", "edge")
+    lines = [";".join(["timestep_time", *(f"{first}_{name}" for name in names)])]
+    for time_s, objects in STEPS.items():
+        for i, kind, x, y, lane in objects:
+            place = (lane, "") if lane else ("", "e")
+            lines.append(";".join(map(str, (clock(time_s), i, x, y, 90, kind, *place))))
+        if not objects:
+            lines.append(clock(time_s) + ";" * len(names))
+    return "\n".join(lines) + "\n"
+
+
+def as_sumo_xml(clock=str, angle='angle="90"'):
+    lines = ["<fcd-export>"]
+    for time_s, objects in STEPS.items():
+        lines.append(f'<timestep time="{clock(time_s)}">')
+        for i, kind, x, y, lane in objects:
+            tag, place = ("vehicle", f'lane="{lane}"') if lane else ("person", 'edge="e"')
+            lines.append(f'<{tag} id="{i}" x="{x}" y="{y}" {angle} type="{kind}" {place}/>')
+        lines.append("</timestep>")
+    return "\n".join([*lines, "</fcd-export>"])
+
+
+def clock_of_day(time_s):
+    return f"00:00:{time_s:05.2f}"
+
+
+def test_forms_of_one_simulation_are_one_recording(tmp_path):
+    """Empty steps, a person first, archives, times of day, no angles: 0 to 2.5 s, the motorcycle from 1 s."""
+    texts = {
+        **{
+            "f.xml": as_sumo_xml(),
+            "day.xml": as_sumo_xml(clock_of_day),
+            "no_angle.xml": as_sumo_xml(angle=""),
+        },
+        **{
+            "f.csv": as_sumo_csv(),
+            "day.csv": as_sumo_csv(clock_of_day),
+            "v.csv": as_sumo_csv(first="vehicle"),
+        },
+    }
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "f.csv.gz").write_bytes(gzip.compress(as_sumo_csv().encode()))
+    pd.read_csv(tmp_path / "f.csv", sep=";").to_parquet(tmp_path / "f.parquet")
+    pd.read_csv(tmp_path / "day.csv", sep=";").to_parquet(tmp_path / "day.parquet")
+    for name in (*texts, "f.csv.gz", "f.parquet", "day.parquet"):
+        with collect_readings() as readings:
+            traffic, changes = read_fcd(tmp_path / name, WINDOW)
+        assert (traffic.step_s, traffic.steps, traffic.first.tolist()) == (0.5, 6, [2]), name
+        assert traffic.bumper_east.tolist() == [5, 12] and traffic.model.tolist() == [
+            list(VEHICLE_CLASSES).index("motorcycle")
+        ]
+        np.testing.assert_allclose(np.degrees(traffic.angle), 90)
+        assert changes[-1].endswith("no road vehicles: 1 × person")
+        assert [(r.content, r.found, r.used) for r in readings] == [("vehicles", 2, 1)]
+        assert "time zero is 0 s of the file" in readings[0].notes[0]
+
+
+def test_persons_that_cannot_be_told_from_vehicles_are_refused(tmp_path):
+    (tmp_path / "f.csv").write_text("timestep_time;person_id;person_x;person_y\n0;p;0;0\n1;p;1;0\n")
+    with pytest.raises(ValueError, match="must tell persons from vehicles"):
+        read_fcd(tmp_path / "f.csv", WINDOW)
+
+
+def test_degrees_are_refused_or_projected(tmp_path):
+    """Three cars in London that drive 7 m east in half a second, and the same in metres."""
+    rows = [(0.5 * k, v, -0.0985 + 1e-4 * k, 51.501 + 6e-4 * v) for k in range(9) for v in range(3)]
+    (tmp_path / "f.csv").write_text(HEAD + "\n".join(f"{t};90;{v};car;{x};{y}" for t, v, x, y in rows))
+    with pytest.raises(ValueError, match=r"look like degrees, about \(-0.0981, 51.5016\)"):
+        read_fcd(tmp_path / "f.csv", WINDOW)
+    traffic, _ = read_fcd(
+        tmp_path / "f.csv",
+        (-900, -900, 900, 900),
+        project=lambda x, y: ((x + 0.0985) * 69_400, (y - 51.5) * 111_250),
+    )
+    assert traffic.bumper_east[:9].tolist() == pytest.approx([6.94 * k for k in range(9)])
+    metres = [(t, v, 69_400 * (x + 0.0985), 9 * v) for t, v, x, y in rows]
+    (tmp_path / "m.csv").write_text(HEAD + "\n".join(f"{t};90;{v};car;{x};{y}" for t, v, x, y in metres))
+    assert read_fcd(tmp_path / "m.csv", (-99, -99, 99, 99))[0].count.tolist() == [9, 9, 9]
+
+
+def test_angles_of_motion_follow_turns_and_hold_while_standing(tmp_path):
+    path = [(0, 0), (10, 0), (10, 0), (10, 10), (10, 10)]
+    lines = [f"{t};a;car;{x};{y}" for t, (x, y) in enumerate(path)]
+    head = "timestep_time;vehicle_id;vehicle_type;vehicle_x;vehicle_y\n"
+    (tmp_path / "f.csv").write_text(head + "\n".join(lines))
+    assert np.degrees(read_fcd(tmp_path / "f.csv", WINDOW)[0].angle).tolist() == [90, 90, 0, 0, 0]
+    (tmp_path / "f.csv").write_text(head + "0;a;car;0;0\n1;a;car;0;0\n")
+    with pytest.raises(ValueError, match="must give angles, got none, and 1 vehicles that never move"):
+        read_fcd(tmp_path / "f.csv", WINDOW)

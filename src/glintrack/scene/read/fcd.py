@@ -1,47 +1,30 @@
-"""Floating-car data: SUMO's FCD as XML (plain or gzipped), CSV or Parquet.
+"""Traffic from floating-car data: SUMO's FCD as XML, CSV or Parquet.
 
 In each format a row is a vehicle at a time: the centre of its front bumper, its angle clockwise from north in
-degrees, and its type. An unknown type becomes the model its name suggests, else a car.
+degrees, and its type. An unknown type becomes the model its name suggests, else a car. Without angles a
+vehicle heads where it moves.
 """
 
-import gzip
-import io
-import math
-import zlib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from xml.etree.ElementTree import ParseError
 
-import defusedxml.ElementTree
 import numpy as np
 import pandas as pd
-import pyarrow.parquet
-from defusedxml import DefusedXmlException
 
 from glintrack.core.arrays import Array
-from glintrack.io.tables import read_csv
-from glintrack.io.untrusted import check_file, check_netcdf
+from glintrack.io.readings import report_reading
+from glintrack.io.untrusted import MAX_COORDINATE_M, check_netcdf
+from glintrack.scene.read.fcd_files import read_fcd_rows
+from glintrack.scene.read.vehicle_types import model_of
 from glintrack.scene.traffic import Traffic, read_recording
 from glintrack.scene.vehicles import VEHICLE_CLASSES
 
-_COLUMNS = ("timestep_time", "vehicle_id", "vehicle_type", "vehicle_x", "vehicle_y", "vehicle_angle")
-_NUMBERS = ("timestep_time", "vehicle_x", "vehicle_y", "vehicle_angle")
 _MAX_CLOCK_ERROR = 0.1  # of a step: times are rounded
-_MAX_ROWS = 50_000_000
 _MAX_DURATION_S = 1e6  # eleven days
-_MAX_COORDINATE_M = 1e6  # larger coordinates are geographic or broken
-# model, and words in a type's name; the first match counts
-_WORDS = (
-    ("motorcycle", ("motorcycle", "moped", "motorbike", "scooter")),
-    ("bus", ("bus", "coach")),
-    ("truck", ("truck", "lorry", "trailer", "hgv", "emergency")),
-    ("van", ("van", "delivery", "transporter")),
-    ("suv", ("suv", "jeep", "offroad", "pickup")),
-    ("hatch", ("hatch", "compact", "small")),
-)
 _MAX_NAMED_TYPES = 6
-_NO_ROAD_USERS = ("pedestrian", "bicycle", "bike", "tram", "rail", "subway", "ship", "person")
+_MIN_MOVE_M = 0.05  # of a step that shows a heading
+_MAX_DEGREES_PER_S, _MAX_TOWN_DEG = 0.005, 5.0  # 500 m/s; no vehicle in metres stays below 5 mm/s for ever
 
 
 def read_fcd(
@@ -49,22 +32,25 @@ def read_fcd(
     extent_m: tuple[float, float, float, float],
     start_s: float | None = None,
     returning: bool = True,
+    project: Callable[[Array, Array], tuple[Array, Array]] | None = None,
 ) -> tuple[Traffic, tuple[str, ...]]:
     """Read floating-car data and crop them to a window.
 
     Parameters
     ----------
     path
-        ``.xml``, ``.xml.gz``, ``.csv`` (separated by semicolons or commas) or ``.parquet``, as
-        ``sumo --fcd-output`` writes them; or ``.nc``, a `Recording`, which is not cropped.
+        XML, CSV (separated by semicolons or commas) or Parquet as ``sumo --fcd-output`` writes them, also
+        gzipped; or ``.nc``, a `Recording`, which is not cropped.
     extent_m
         West, south, east, north in the file's coordinates. The traffic has each vehicle from its first to its
         last sample inside. [m]
     start_s
-        Time of the file that becomes time zero; its first time by default. [s]
+        Time of the file that becomes time zero; its first time by default, with or without a vehicle. [s]
     returning
         True: a vehicle that disappears and comes back (a teleport of SUMO's) comes back as another one.
         False: it does not come back.
+    project
+        From longitude and latitude [deg] to the coordinates of ``extent_m``; None refuses degrees.
 
     Returns
     -------
@@ -75,83 +61,138 @@ def read_fcd(
     ------
     ValueError
         If the file is damaged or hostile, holds no such data, or has a row without time or vehicle, or two
-        rows of a vehicle at one time.
+        rows of a vehicle at one time, or degrees that cannot be projected.
     """
     if path.suffix == ".nc":
-        return read_recording(check_netcdf(path, path.name)).traffic, ()
-    table = _read_table(path)
-    table["vehicle_type"] = table["vehicle_type"].fillna("").astype(str)
-    clock = np.unique(table["timestep_time"].to_numpy(dtype=float))  # of all that is in it
-    clock = clock[np.isfinite(clock)]
-    road = ~table["vehicle_type"].str.lower().str.contains("|".join(_NO_ROAD_USERS))
+        traffic = read_recording(check_netcdf(path, path.name)).traffic
+        report_reading(path, "vehicles", traffic.count.size, traffic.count.size)
+        return traffic, ()
+    rows = read_fcd_rows(path)
+    clock, table = rows.clock_s, rows.table
+    all_ids = len(table["vehicle_id"].unique())
+    models = {kind: model_of(kind) for kind in table["vehicle_type"].unique()}
+    road = table["vehicle_type"].isin([kind for kind, model in models.items() if model]).to_numpy()
     others = table.loc[~road].drop_duplicates("vehicle_id")["vehicle_type"]
     if not road.any() and len(table):
         raise ValueError(f"`{path.name}` must hold road vehicles, got none among {len(table)} rows")
     table = table.loc[road]
-    time, x, y, angle = (table[name].to_numpy(dtype=float) for name in _NUMBERS)
-    for what, bad in (("a time", ~np.isfinite(time)), ("a vehicle", table["vehicle_id"].isna().to_numpy())):
-        if bad.any():
-            first = int(table.index[np.flatnonzero(bad)[0]]) + 1
+    step, start_s, step_s = _time_steps(path, clock, table["timestep_time"].to_numpy(float), start_s)
+    names, vehicle = np.unique(table["vehicle_id"].to_numpy(dtype=str), return_inverse=True)
+    whole, stretch = vehicle, _number_stretches(path, vehicle, step, start_s + step_s * step, names)
+    x, y = (table[f"vehicle_{axis}"].to_numpy(float) for axis in "xy")
+    notes = [f"{clock.size:,} time steps of {step_s:g} s; time zero is {start_s:g} s of the file"]
+    if _is_geographic(x, y, stretch, step * step_s):
+        if project is None:
             raise ValueError(
-                f"`{path.name}` must give each row {what}, got none in {int(bad.sum())} of {bad.size} rows, "
-                f"first in data row {first} (correct it, or delete it)"
+                f"`{path.name}` must be in metres, got numbers that look like degrees, about "
+                f"({np.median(x):.4f}, {np.median(y):.4f}) (write it without --fcd-output.geo, or give the "
+                "scene crs and origin_m)"
             )
+        x, y = project(x, y)
+        notes.append("longitude and latitude are projected")
+    if "vehicle_angle" in table:
+        angle = np.radians(table["vehicle_angle"].to_numpy(float))
+    else:
+        angle = _angles_of_motion(path, x, y, stretch, step)
+        notes.append("no angles: vehicles head where they move")
     for name, values in (("x", x), ("y", y), ("angle", angle)):
-        bad = ~(np.abs(values) < _MAX_COORDINATE_M)
+        bad = ~(np.abs(values) < MAX_COORDINATE_M)
         if bad.any():
             raise ValueError(
                 f"`{path.name}` must give finite {name} in metres and degrees, "
                 f"got {values[bad][0]:g} in {int(bad.sum())} of {bad.size} rows"
             )
-    if clock.size < 2:
-        raise ValueError(f"`{path.name}` must hold at least two time steps, got {clock.size}")
-    if np.ptp(clock) > _MAX_DURATION_S:
-        raise ValueError(
-            f"`{path.name}` must span at most {_MAX_DURATION_S:g} s, got {clock[0]:g} to {clock[-1]:g} s"
-        )
-    start_s = float(clock[0]) if start_s is None else start_s
-    step_s = float(np.round(np.median(np.diff(clock)), 6))
-    position = (time - start_s) / step_s
-    late = np.abs(position - np.round(position)) > _MAX_CLOCK_ERROR
-    if late.any():
-        raise ValueError(
-            f"`{path.name}` must be sampled every {step_s:g} s, as most of it is, got the time "
-            f"{time[late][0]:g} s in {int(late.sum())} of {late.size} rows"
-        )
-    step = np.round(position).astype(int)
-    names, vehicle = np.unique(table["vehicle_id"].to_numpy(dtype=str), return_inverse=True)
-    whole, stretch = vehicle, _number_stretches(path, vehicle, step, time, names)
     if returning:
         vehicle = stretch
-    rows, enters = _crop(step, vehicle, x, y, extent_m)
-    present, starts = np.unique(vehicle[rows], return_index=True)
+    kept, enters = _crop(step, vehicle, x, y, extent_m)
+    present, starts = np.unique(vehicle[kept], return_index=True)
     ranked = present[np.argsort(starts)]
-    count = np.bincount(vehicle[rows], minlength=len(enters))[ranked]
-    kinds = table["vehicle_type"].to_numpy(dtype=str)[rows[np.cumsum(count) - count]]
+    count = np.bincount(vehicle[kept], minlength=len(enters))[ranked]
+    kinds = table["vehicle_type"].to_numpy(dtype=str)[kept[np.cumsum(count) - count]]
     traffic = Traffic(
         step_s=step_s,
         steps=int(np.round((clock[-1] - start_s) / step_s)) + 1,
         first=enters[ranked],
         count=count,
-        model=np.array([VEHICLE_CLASSES.index(model_of(kind)) for kind in kinds], dtype=int),
-        bumper_east=x[rows],
-        bumper_north=y[rows],
-        angle=np.radians(angle[rows]),
+        model=np.array([VEHICLE_CLASSES.index(str(models[kind])) for kind in kinds], dtype=int),
+        bumper_east=x[kept],
+        bumper_north=y[kept],
+        angle=angle[kept],
     )
-    said = ()
+    said: tuple[str, ...] = ()
     guessed = [kind for kind in kinds if kind not in VEHICLE_CLASSES]
     if guessed:
         said += (
             f"{len(guessed)} vehicles are shown as the model their type suggests, else a car: "
             f"{_count_types(guessed)}",
         )
+    no_road = f"no road vehicles: {_count_types(others)}"
     if len(others):
-        said += (f"what is no road vehicle is left out: {_count_types(others)}",)
-    returned = len(present) - len(np.unique(whole[rows]))
+        said += (f"left out, because they are {no_road}",)
+    used = len(np.unique(whole[kept]))
+    returned = len(present) - used
     if returned:
         times = "once" if returned == 1 else f"{returned} times"
         said += (f"vehicles that vanish and come back do so as others, {times}",)
+    left_out = {no_road: len(others), "never in the window": len(names) - used}
+    notes += [sentence for sentence in said if no_road not in sentence]
+    report_reading(path, "vehicles", all_ids, used, left_out, notes)
     return traffic, said
+
+
+def _time_steps(
+    path: Path, clock_s: Array, time_s: Array, start_s: float | None
+) -> tuple[Array, float, float]:
+    """Time step of each row, counted from ``start_s``; that time; and the interval. [1, s, s]"""
+    if clock_s.size < 2:
+        raise ValueError(f"`{path.name}` must hold at least two time steps, got {clock_s.size}")
+    if np.ptp(clock_s) > _MAX_DURATION_S:
+        raise ValueError(
+            f"`{path.name}` must span at most {_MAX_DURATION_S:g} s, got {clock_s[0]:g} to {clock_s[-1]:g} s"
+        )
+    start_s = float(clock_s[0]) if start_s is None else start_s
+    step_s = float(np.round(np.median(np.diff(clock_s)), 6))
+    position = (time_s - start_s) / step_s
+    late = np.abs(position - np.round(position)) > _MAX_CLOCK_ERROR
+    if late.any():
+        raise ValueError(
+            f"`{path.name}` must be sampled every {step_s:g} s, as most of it is, got the time "
+            f"{time_s[late][0]:g} s in {int(late.sum())} of {late.size} rows"
+        )
+    return np.round(position).astype(int), start_s, step_s
+
+
+def _is_geographic(x: Array, y: Array, stretch: Array, time_s: Array) -> bool:
+    """Return True for longitudes and latitudes: within their range, and no faster than degrees pass."""
+    if not len(x) or not ((np.abs(x) <= 180) & (np.abs(y) <= 90)).all():
+        return False
+    order = np.lexsort((time_s, stretch))
+    same = np.diff(stretch[order]) == 0
+    moved = np.hypot(np.diff(x[order]), np.diff(y[order]))[same]
+    fastest = float((moved / np.diff(time_s[order])[same]).max(initial=0.0))
+    if np.ptp(x) > _MAX_TOWN_DEG or np.ptp(y) > _MAX_TOWN_DEG or fastest > _MAX_DEGREES_PER_S:
+        return False
+    several = stretch.max() > 0 and max(np.ptp(x), np.ptp(y)) < 1.0  # nobody stands within a metre of others
+    return fastest > 0 or bool(several)
+
+
+def _angles_of_motion(path: Path, x: Array, y: Array, stretch: Array, step: Array) -> Array:
+    """Heading clockwise from north by the way to the next place, while standing as before. [rad]"""
+    order = np.lexsort((step, stretch))
+    east, north, same = np.diff(x[order]), np.diff(y[order]), np.diff(stretch[order]) == 0
+    moves = np.append(same & (np.hypot(east, north) > _MIN_MOVE_M), False)
+    heading = pd.Series(np.where(moves, np.arctan2(np.append(east, 0.0), np.append(north, 0.0)), np.nan))
+    own = heading.groupby(stretch[order])
+    filled = own.ffill().fillna(own.bfill()).to_numpy()
+    if np.isnan(filled).any():
+        standing = len(np.unique(stretch[order][np.isnan(filled)]))
+        raise ValueError(
+            f"`{path.name}` must give angles, got none, and {standing} "
+            "vehicles that never move (write the attribute angle too)"
+        )
+    angle = np.empty(len(x))
+    angle[order] = filled
+    return angle
 
 
 def _count_types(kinds: Iterable[str]) -> str:
@@ -175,14 +216,6 @@ def fcd_table(traffic: Traffic) -> pd.DataFrame:
         }
     )
     return table.iloc[np.lexsort((vehicle, step))].reset_index(drop=True)
-
-
-def model_of(vehicle_type: str) -> str:
-    """Name of the model for a vehicle type: its own, the one its name suggests, or a car."""
-    if vehicle_type in VEHICLE_CLASSES:
-        return vehicle_type
-    name = vehicle_type.lower()
-    return next((model for model, words in _WORDS if any(w in name for w in words)), "car")
 
 
 def _number_stretches(path: Path, vehicle: Array, step: Array, time: Array, names: Array) -> Array:
@@ -218,91 +251,3 @@ def _crop(
     within = np.arange(rows.size) - np.repeat(np.sort(starts), np.diff([*np.sort(starts), rows.size]))
     # only the first stretch of a vehicle that comes back
     return rows[step[rows] - enters[vehicle[rows]] == within], enters
-
-
-def _read_table(path: Path) -> pd.DataFrame:
-    readers = {".parquet": _read_parquet, ".csv": _read_csv}
-    try:
-        table = readers.get(path.suffix, _read_xml)(check_file(path, path.name))
-    except OSError as error:
-        raise ValueError(f"`{path.name}` must be a readable file, got {error.strerror or error}") from error
-    missing = [c for c in _COLUMNS if c not in table.columns and c != "vehicle_type"]
-    if missing:
-        raise ValueError(
-            f"`{path.name}` must be SUMO's floating-car data with the columns {', '.join(_COLUMNS)} (the "
-            f"type may be left out), got no {', '.join(missing)}"
-        )
-    if "vehicle_type" not in table.columns:
-        table["vehicle_type"] = ""
-    table = pd.DataFrame({name: table[name] for name in _COLUMNS})
-    for name in _NUMBERS:
-        try:
-            table[name] = np.asarray(pd.to_numeric(table[name], errors="coerce"), dtype=float)
-        except OverflowError as error:
-            raise ValueError(f"`{path.name}` must hold numbers that fit, got {error} in {name}") from error
-    return table
-
-
-def _read_csv(path: Path) -> pd.DataFrame:
-    try:
-        with path.open(encoding="utf-8") as file:
-            head = file.readline()
-            separator = ";" if head.count(";") >= head.count(",") else ","
-            count = head.count(separator)
-            for number, line in enumerate(file, 1):
-                if line.count(separator) > count and '"' not in line:  # pandas would shift the columns
-                    raise ValueError(
-                        f"`{path.name}` must give each row the header's {count + 1} columns, got "
-                        f"{line.count(separator) + 1} in data row {number} (correct it, or delete it)"
-                    )
-    except UnicodeDecodeError as error:
-        raise ValueError(f"`{path.name}` must be SUMO's floating-car data as CSV, got {error}") from error
-    return read_csv(
-        path,
-        path.name,
-        separator=separator,
-        types={"vehicle_id": "str", "vehicle_type": "str"},
-        only=lambda column: column in _COLUMNS,
-        comments=False,
-        most_bytes=None,
-    )
-
-
-def _read_parquet(path: Path) -> pd.DataFrame:
-    try:
-        arrow = pyarrow.parquet.read_table(path)
-        arrow.validate(full=True)  # also finds names that are not text
-        table = arrow.to_pandas()
-    except Exception as error:  # Arrow has many errors for damaged files
-        raise ValueError(f"`{path.name}` must be a whole Parquet file, got {error}") from error
-    known = {c.removeprefix("vehicle_").removeprefix("timestep_"): c for c in _COLUMNS}
-    return table.rename(columns={c: known[c] for c in table.columns if c in known})
-
-
-def _read_xml(path: Path) -> pd.DataFrame:
-    """Read the rows of an ``fcd-export`` as a stream: whole files may be larger than memory."""
-    rows: dict[str, list] = {name: [] for name in _COLUMNS}
-    now = math.nan
-    try:
-        with gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb") as file:
-            events = defusedxml.ElementTree.iterparse(
-                io.BufferedReader(file), events=("start", "end"), forbid_dtd=True
-            )
-            for event, element in events:
-                if event == "start" and element.tag == "timestep":
-                    now = element.get("time", "nan")
-                elif event == "end" and element.tag == "vehicle":
-                    if len(rows["timestep_time"]) >= _MAX_ROWS:
-                        raise ValueError(f"more than {_MAX_ROWS} rows")
-                    rows["timestep_time"].append(now)
-                    for name in _COLUMNS[1:]:
-                        rows[name].append(element.get(name.removeprefix("vehicle_")))
-                elif event == "end" and element.tag == "timestep":
-                    element.clear()
-    except DefusedXmlException as error:
-        raise ValueError(
-            f"`{path.name}` must be plain XML without DTD or entities, got {type(error).__name__}"
-        ) from error
-    except (ParseError, gzip.BadGzipFile, zlib.error, EOFError, ValueError, LookupError) as error:
-        raise ValueError(f"`{path.name}` must be whole, well-formed XML, got {error}") from error
-    return pd.DataFrame(rows)

@@ -1,46 +1,54 @@
-"""Read buildings and ground: SUMO's polygons (``.poly.xml``, from polyconvert) and OpenStreetMap extracts.
+"""Read buildings and ground from SUMO's polygons (``.poly.xml``, from polyconvert), by OpenStreetMap's tags.
 
-A building has a type ``building…``, and its height as the attribute ``height`` or as OpenStreetMap's
-``building:levels``. polyconvert writes courtyards of multipolygons as buildings: a ring inside another is a
-courtyard, and a ring inside a courtyard is a building. SUMO's netconvert and polyconvert (extra ``traffic``)
-convert extracts.
+polyconvert's type is a key and a value, such as ``building.yes``. It writes courtyards of multipolygons as
+buildings: a ring inside another is a courtyard, and a ring inside a courtyard is a building.
 """
 
 import re
-import tempfile
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree.ElementTree import Element
 
-import defusedxml.ElementTree
 import numpy as np
 import shapely
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from glintrack.io.untrusted import read_bytes
+from glintrack.io.readings import report_reading
 from glintrack.scene.objects.geometry import polygons
-from glintrack.scene.objects.surfaces import RoadNetwork
-from glintrack.scene.read.sumo import NetLocation, call_sumo, read_sumo_net, read_xml, shape_points, sumo_home
+from glintrack.scene.read.sumo import read_xml, shape_points
 
 STOREY_M, PLINTH_M = 2.9, 0.4
 _MIN_FOOTPRINT_M2 = 8.0
-_FOOT_M = 0.3048
-_HEIGHT = re.compile(r"^\s*(\d+(?:\.\d+)?)\s*(m|ft|')?\s*$")
-_MAX_HEIGHT_M = 900.0
-# kind of ground, and words in a polygon's type; the first match counts
-_GROUNDS = (
-    ("water", ("natural.water", "waterway", "landuse.basin", "landuse.reservoir", "swimming_pool")),
-    ("forest", ("landuse.forest", "natural.wood")),
-    ("parking", ("amenity.parking",)),
-    ("soil", ("natural.sand", "natural.beach", "landuse.farmland", "landuse.construction", "landuse.quarry")),
-    ("dry", ("natural.scrub", "natural.heath", "landuse.meadow", "landuse.brownfield")),
-    ("lawn", tuple(f"leisure.{name}" for name in ("park", "garden", "pitch"))),
-    ("lawn", tuple(f"landuse.{name}" for name in ("grass", "cemetery", "village"))),
+_FOOT_M, _INCH_M = 0.3048, 0.0254
+_NUMBER = r"(\d+(?:[.,]\d+)?|[.,]\d+)"
+_METRES = re.compile(rf"^~?\s*{_NUMBER}\s*(?:m|m\.|met(?:er|re)s?)?$", re.IGNORECASE)
+_FEET = re.compile(
+    rf"^~?\s*{_NUMBER}\s*(?:ft\.?|feet|foot|'|′|\u2019)\s*(?:{_NUMBER}\s*(?:\"|''|″|\u201d|in\.?|inch(?:es)?)?)?$",
+    re.IGNORECASE,
 )
+_MAX_HEIGHT_M = 900.0
+# kind of ground, OpenStreetMap's key, and its values; the first match counts
+_GROUNDS = (
+    ("water", "natural", ("water",)),
+    ("water", "waterway", ("riverbank", "dock", "river", "canal")),
+    ("water", "landuse", ("basin", "reservoir")),
+    ("water", "leisure", ("swimming_pool",)),
+    ("forest", "landuse", ("forest",)),
+    ("forest", "natural", ("wood",)),
+    ("parking", "amenity", ("parking",)),
+    ("soil", "natural", ("sand", "beach")),
+    ("soil", "landuse", ("farmland", "construction", "quarry")),
+    ("dry", "natural", ("scrub", "heath")),
+    ("dry", "landuse", ("meadow", "brownfield")),
+    ("lawn", "leisure", ("park", "garden", "pitch")),
+    ("lawn", "landuse", ("grass", "cemetery", "village_green")),
+)
+TOO_SMALL = "smaller than 8 m²"
+_GONE = ("demolished", "razed", "removed", "destroyed", "collapsed", "proposed", "planned")
 _CHUNK = 256  # shapes of one query
 _MAX_MEAN_NEAR, _MAX_NEAR = 50, 100_000  # touching boxes per building on average, and in a small file
-_NOT_GROUND = ("bicycle_parking", "parking_entrance", "parking_space")
 
 
 @dataclass(frozen=True)
@@ -83,32 +91,102 @@ def read_polygons(path: Path) -> Polygons:
         raise ValueError(f"`{path.name}` must be SUMO polygons (root element additional), got {root.tag!r}")
     buildings: list[Footprint] = []
     grounds: list[tuple[str, BaseGeometry]] = []
+    gone: Counter[str] = Counter()
+    count, tagged = 0, []
     for element in root.iter("poly"):
-        name = element.get("type", "")
-        kinds = (kind for kind, words in _GROUNDS if any(word in name for word in words))
-        kind = "building" if name.startswith("building") else next(kinds, None)
+        tags = {p.get("key", ""): p.get("value", "") for p in element.iter("param")}
+        key, _, value = element.get("type", "").partition(".")
+        tags |= {key: value or "yes"}
+        tags |= {"height": element.get("height", "")} if element.get("height") else {}
+        kind, reason = area_kind(tags)
         points = shape_points(path, element.get("shape", ""))
-        shape = shapely.make_valid(Polygon(points)) if len(points) > 3 else Polygon()
-        parts = [p for p in polygons(shape) if p.area > _MIN_FOOTPRINT_M2]
-        if kind == "building":
-            buildings += [Footprint(part, _height(element)) for part in parts]
-        elif kind is not None and not any(word in name for word in _NOT_GROUND):
+        parts = area_parts(shapely.make_valid(Polygon(points)) if len(points) > 3 else Polygon())
+        if kind and not reason and not parts:
+            reason = TOO_SMALL
+        count += bool(kind or reason)
+        if reason:
+            gone.update([reason])
+        elif kind == "building":
+            tagged.append(tags)
+            buildings += [Footprint(part, height_of(tags)) for part in parts]
+        elif kind is not None:
             grounds += [(kind, part) for part in parts]
+    report_reading(path, "buildings and grounds", count, count - gone.total(), gone, unread_heights(tagged))
     whole, courtyards = _cut_courtyards(buildings, path.name)
     return Polygons(tuple(whole), tuple(grounds), courtyards)
 
 
-def _height(element: Element) -> float | None:
+def area_parts(shape: BaseGeometry) -> list[Polygon]:
+    """Polygons of a shape that are large enough to be drawn."""
+    return [part for part in polygons(shape) if part.area > _MIN_FOOTPRINT_M2]
+
+
+def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
+    """Kind of an area by OpenStreetMap's tags, and the reason why it is left out.
+
+    Returns
+    -------
+    ``building``, a kind of ground, or None for what is neither; and an empty text for an area that is used.
+    """
+    building = tags.get("building", "no")
+    if any(f"{state}:building" in tags for state in _GONE) and building == "no":
+        return "building", "demolished or proposed"
+    if "building" in tags:
+        kind = "building"
+    else:
+        kind = next((kind for kind, key, values in _GROUNDS if tags.get(key) in values), None)
+    if kind is None:
+        return None, ""
+    if kind == "building" and building == "no":
+        return kind, "building=no"
+    if building in _GONE or any(tags.get(state, "no") != "no" for state in _GONE):
+        return kind, "demolished or proposed"
+    layer = _METRES.match(tags.get("layer", "").removeprefix("-"))
+    sunk = kind == "building" and tags.get("layer", "").startswith("-") and layer is not None
+    hidden = tags.get("location") in ("underground", "underwater") or tags.get("parking") == "underground"
+    if sunk or hidden or tags.get("tunnel", "no") not in ("no", "building_passage"):
+        return kind, "under ground"
+    return kind, ""
+
+
+def height_of(tags: Mapping[str, str]) -> float | None:
     """Height of a building, by its own tag, else by its storeys; None if neither can be read. [m]"""
-    tags = {p.get("key", ""): p.get("value", "") for p in element.iter("param")}
-    given = _HEIGHT.match(element.get("height") or tags.get("height", ""))
-    if given:
-        height = float(given[1]) * (_FOOT_M if given[2] in ("ft", "'") else 1.0)
+    heights = [_length(text.strip()) for text in tags.get("height", "").split(";")]
+    if None not in heights:
+        height = max(filter(None, heights), default=0.0)
         return height if 0 < height <= _MAX_HEIGHT_M else None
-    levels = _HEIGHT.match(tags.get("building:levels", ""))
-    if levels and 0 < float(levels[1]) * STOREY_M <= _MAX_HEIGHT_M:
-        return float(levels[1]) * STOREY_M + PLINTH_M
+    levels = _levels(tags.get("building:levels", ""))
+    if levels and 0 < levels * STOREY_M <= _MAX_HEIGHT_M:
+        return levels * STOREY_M + PLINTH_M
     return None
+
+
+def unread_heights(buildings: Iterable[Mapping[str, str]]) -> list[str]:
+    """Sentence on heights and storeys that cannot be read, as a list; empty if there are none."""
+    given = [{key: tags[key]} for tags in buildings for key in ("height", "building:levels") if key in tags]
+    unread = [text for tag in given if height_of(tag) is None for text in tag.values()]
+    return [f"{len(unread)} heights cannot be read, such as {unread[0][:20]!r}"] if unread else []
+
+
+def _length(text: str) -> float | None:
+    """Length in metres, or feet and inches; None if it is neither. [m]"""
+    if found := _METRES.match(text):
+        return float(found[1].replace(",", "."))
+    if found := _FEET.match(text):
+        feet, inches = (float((group or "0").replace(",", ".")) for group in found.groups())
+        return feet * _FOOT_M + inches * _INCH_M
+    return None
+
+
+def _levels(text: str) -> float | None:
+    """Storeys of a number, a range, or a list of levels, of which 0 is the ground floor; None for others."""
+    words = re.split(r"\s*;\s*|,\s+|\s*-\s*(?=\d)", text.strip())
+    if text.count(",") > 1:
+        words = re.split(r"\s*[;,]\s*", text.strip())
+    numbers = [float(w.replace(",", ".")) for w in words if re.fullmatch(rf"-?{_NUMBER}", w)]
+    if not numbers or len(numbers) < len([word for word in words if word]):
+        return None
+    return max(numbers) + (len(numbers) > 1 and 0 in numbers)
 
 
 def _cut_courtyards(buildings: list[Footprint], name: str) -> tuple[list[Footprint], int]:
@@ -132,59 +210,3 @@ def _cut_courtyards(buildings: list[Footprint], name: str) -> tuple[list[Footpri
         shape = shapes[k].difference(shapely.union_all(within[k])) if k in within else shapes[k]
         found += [Footprint(part, buildings[k].height_m) for part in polygons(shape)]
     return found, int((depth % 2 == 1).sum())
-
-
-_NETCONVERT = (
-    *("--geometry.remove", "--ramps.guess", "--junctions.join", "--tls.guess-signals"),
-    *("--tls.discard-simple", "--tls.join", "--sidewalks.guess", "--crossings.guess"),
-    *("--junctions.corner-detail", "5"),
-)
-
-
-def read_osm(path: Path, net_path: Path) -> tuple[RoadNetwork, NetLocation, Polygons]:
-    """Read streets, buildings and grounds of an extract.
-
-    Parameters
-    ----------
-    path
-        ``.osm`` or ``.osm.xml``, plain or gzipped.
-    net_path
-        Path for the SUMO network, for the traffic.
-
-    Raises
-    ------
-    ValueError
-        If the file is damaged or hostile, or holds no street for motor vehicles.
-    """
-    root = read_xml(path)  # SUMO reads half a file without complaint, and follows entities
-    if root.tag != "osm":
-        raise ValueError(f"`{path.name}` must be OpenStreetMap XML (root element osm), got {root.tag!r}")
-    if not any(tag.get("k") == "highway" for way in root.iter("way") for tag in way.iter("tag")):
-        raise ValueError(f"`{path.name}` must hold at least one way with a highway tag, got none")
-    home = sumo_home()
-    typemap = home / "data" / "typemap"
-    types = ",".join(str(typemap / f"osmNetconvert{kind}.typ.xml") for kind in ("", "UrbanDe"))
-    with tempfile.TemporaryDirectory(prefix="glintrack-osm-") as scratch:
-        folder = Path(scratch)
-        (folder / "m.osm").write_bytes(_sort_elements(root) or read_bytes(path, path.name))
-        netconvert = [str(home / "bin" / "netconvert"), "--osm-files", "m.osm", "-o", "m.net.xml"]
-        call_sumo(home, folder, [*netconvert, "--type-files", types, *_NETCONVERT])
-        polyconvert = [str(home / "bin" / "polyconvert"), "-n", "m.net.xml", "--osm-files", "m.osm"]
-        polyconvert += ["--type-file", str(typemap / "osmPolyconvert.typ.xml"), "--osm.keep-full-type"]
-        call_sumo(home, folder, [*polyconvert, "--all-attributes", "-o", "m.poly.xml"])
-        network, location = read_sumo_net(folder / "m.net.xml")
-        found = read_polygons(folder / "m.poly.xml")
-        # without its comments, which hold the date: the same extract is the same network, byte for byte
-        text = (folder / "m.net.xml").read_text(encoding="utf-8")
-        net_path.write_text(re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL), encoding="utf-8")
-    return network, location, found
-
-
-def _sort_elements(root: Element) -> bytes | None:
-    """Sort nodes before ways before relations, because SUMO ignores others; None if they are in order."""
-    kinds = {"node": 0, "way": 1, "relation": 2}
-    found = [kinds.get(element.tag, -1) for element in root]
-    if found == sorted(found):
-        return None
-    root[:] = sorted(root, key=lambda element: kinds.get(element.tag, -1))
-    return defusedxml.ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)

@@ -26,6 +26,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.installation import MissingExtraError, missing_extra
 from glintrack.core.progress import step
 from glintrack.io.atomic import content_hash, write_bytes
+from glintrack.io.readings import collect_readings, report_reading
 from glintrack.io.untrusted import MAX_COORDINATE_M, read_bytes
 from glintrack.scene.objects.surfaces import Lane, LaneKind, RoadNetwork
 from glintrack.scene.read.fcd import read_fcd
@@ -79,6 +80,10 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
     lanes = tuple(lane for edge in edges for lane in _lanes(path, edge, edge.get("id") in signalled))
     if not lanes:
         raise ValueError(f"`{path.name}` must hold at least one lane with a shape, got none")
+    count = sum(1 for edge in edges for _ in edge.iter("lane"))
+    report_reading(
+        path, "lanes", count, len(lanes), {"no road, rail, pavement or crossing": count - len(lanes)}
+    )
     motor_lanes = {lane.get("id") for edge in edges for lane in edge if _kind(edge, lane) == "car"}
     junctions = tuple(
         shape_points(path, junction.get("shape", ""))
@@ -311,14 +316,16 @@ def simulate_traffic(run: SumoRun) -> Recording:
             f"--device.fcd.begin {run.warmup_s:g} --no-step-log --seed {run.seed}"
         )
         call_sumo(home, folder, [str(home / "bin" / "sumo"), *sumo.split()])
-        network, _ = read_sumo_net(folder / "city.net.xml")
+        with collect_readings():  # files of our own
+            network, _ = read_sumo_net(folder / "city.net.xml")
         with (folder / "fcd.csv").open(encoding="utf-8") as rows:
             if "vehicle_id" not in rows.readline():  # SUMO writes no header without a vehicle
                 raise ValueError(
                     "`scene.traffic_insertion_period_s` must let a vehicle drive while traffic is recorded, "
                     f"got none in {run.duration_s:g} s by {run.insertion_period_s:g} s (choose less)"
                 )
-        traffic, _ = read_fcd(folder / "fcd.csv", run.extent_m, run.warmup_s, returning=False)
+        with collect_readings():
+            traffic, _ = read_fcd(folder / "fcd.csv", run.extent_m, run.warmup_s, returning=False)
     east, north = run.origin_m
     return Recording(network, traffic).shift(-east, -north)
 

@@ -17,10 +17,9 @@ from shapely.geometry import Point, Polygon
 from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
 from glintrack.scene.objects.layout import Layout, area_with_margin, expand_extent
 from glintrack.scene.objects.surfaces import RoadNetwork, road_areas
-from glintrack.scene.read.fcd import read_fcd
 from glintrack.scene.read.sumo import FULL_MIX, SumoRun, load_or_simulate
 from glintrack.scene.sources.neighbourhood import Use, neighbourhood, use_by_size
-from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Site, resolve_file
+from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Site, read_traffic
 from glintrack.scene.traffic import Recording, read_recording
 
 # Points inside the blocks of the shipped plan that are not housing; see `SHIPPED_PLAN`. [m]
@@ -43,7 +42,7 @@ def procedural_site(design: SceneDesign) -> Site:
     else:
         recording = _simulate(design, SHIPPED_PLAN if shipped else None, reach)
     if design.traffic_file:
-        traffic, changes = read_fcd(resolve_file(design.traffic_file), reach)
+        traffic, changes = read_traffic(design, reach)
         recording, said = replace(recording, traffic=traffic), changes
     fill = partial(fill_streets, recording.network, design.extent_m, shipped=shipped)
     return Site(recording, ROCHESTER, design.extent_m, fill, assumptions=said)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import xarray as xr
 from pyproj.exceptions import CRSError, ProjError
 from scipy.spatial import KDTree
 
+from glintrack.core.arrays import Array
 from glintrack.scene.design import LARGEST_M2, SUMO_PREFIX, SceneDesign
 from glintrack.scene.objects.layout import Layout, expand_extent
 from glintrack.scene.objects.surfaces import RoadNetwork
@@ -41,6 +43,14 @@ class SceneOrigin:
             raise ValueError(
                 f"`scene.crs` must reach ({self.easting_m:g}, {self.northing_m:g}), got {self.crs!r}"
             )
+
+    def project(
+        self, longitude_deg: Array, latitude_deg: Array, origin_m: tuple[float, float] = (0.0, 0.0)
+    ) -> tuple[Array, Array]:
+        """East and north of places, in coordinates where ENU (0, 0) is at ``origin_m``. [m]"""
+        transformer = pyproj.Transformer.from_crs(4326, self.crs, always_xy=True)
+        easting, northing = transformer.transform(longitude_deg, latitude_deg)
+        return easting - self.easting_m + origin_m[0], northing - self.northing_m + origin_m[1]
 
     @property
     def longitude_latitude_deg(self) -> tuple[float, float]:
@@ -92,6 +102,13 @@ def resolve_file(name: str) -> Path:
     return Path(name)
 
 
+def given_place(design: SceneDesign) -> SceneOrigin | None:
+    """Position of a city by its keys ``crs`` and ``origin_m``, if it has them."""
+    if design.crs is None or design.origin_m is None:
+        return None
+    return SceneOrigin(design.crs, *design.origin_m)
+
+
 def place_of(
     design: SceneDesign, location: NetLocation | None, centre_m: tuple[float, float], name: str
 ) -> tuple[SceneOrigin, tuple[str, ...]]:
@@ -106,8 +123,8 @@ def place_of(
     name
         Data that may lack a position, for the sentence.
     """
-    if design.crs is not None and design.origin_m is not None:
-        return SceneOrigin(design.crs, *design.origin_m), ()
+    if (given := given_place(design)) is not None:
+        return given, ()
     if location is None or location.projection is None:
         return ROCHESTER, (f"the {name}: the scene is put at Rochester, New York",)
     try:
@@ -120,6 +137,47 @@ def place_of(
     known = f"EPSG:{code}" if code else location.projection
     east, north = (centre_m[i] - location.offset_m[i] for i in range(2))
     return SceneOrigin(known, east, north), ()
+
+
+def read_traffic(
+    design: SceneDesign,
+    extent_m: tuple[float, float, float, float],
+    place: SceneOrigin | None = None,
+    origin_m: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Traffic, tuple[str, ...]]:
+    """Read a design's traffic file in ENU, and the changes made to it, one sentence each.
+
+    Parameters
+    ----------
+    design
+        Table ``[scene]`` of a case with a traffic file.
+    extent_m
+        West, south, east, north of the traffic in ENU. [m]
+    place
+        Position of the city, by which longitudes and latitudes are projected; None refuses them.
+    origin_m
+        Position of ENU (0, 0) in the file's coordinates. [m]
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, or has no vehicle in the extent.
+    """
+    path = resolve_file(str(design.traffic_file))
+    x, y = origin_m
+    west, south, east, north = extent_m
+
+    reach = (west + x, south + y, east + x, north + y)
+    traffic, changes = read_fcd(
+        path, reach, project=partial(place.project, origin_m=origin_m) if place else None
+    )
+    if not traffic.count.size:
+        raise ValueError(
+            f"`{path.name}` must have a vehicle in the window, {reach[0]:.0f} to {reach[2]:.0f} m east and "
+            f"{reach[1]:.0f} to {reach[3]:.0f} m north of the network's coordinates, "
+            "got none (write it without --fcd-output.utm, from the same network)"
+        )
+    return traffic.shift(-x, -y), changes
 
 
 def mesh_site(design: SceneDesign) -> Site:
@@ -148,7 +206,7 @@ def mesh_site(design: SceneDesign) -> Site:
         )
     if design.traffic_file:
         reach = expand_extent(extent, VEHICLE_MARGIN_M)
-        traffic, changes = read_fcd(resolve_file(design.traffic_file), reach)
+        traffic, changes = read_traffic(design, reach, given_place(design))
         said += changes
     else:
         steps = int(np.ceil(design.traffic_duration_s / _STEP_S)) + 1

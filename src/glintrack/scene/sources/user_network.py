@@ -21,8 +21,8 @@ from glintrack.scene.objects.geometry import cut_into_tiles, polygons
 from glintrack.scene.objects.layout import MARGIN_M, Layout, area_with_margin, expand_extent
 from glintrack.scene.objects.plants import Tree, draw_tree
 from glintrack.scene.objects.surfaces import GroundPatch, RoadNetwork, blocks, road_areas
-from glintrack.scene.read.fcd import read_fcd
-from glintrack.scene.read.polygons import Polygons, read_osm, read_polygons
+from glintrack.scene.read.osm import read_osm
+from glintrack.scene.read.polygons import Polygons, read_polygons
 from glintrack.scene.read.sumo import (
     FULL_MIX,
     NetLocation,
@@ -40,7 +40,14 @@ from glintrack.scene.sources.lots import (
     yards,
 )
 from glintrack.scene.sources.neighbourhood import neighbourhood, use_by_size
-from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Site, place_of, resolve_file
+from glintrack.scene.sources.site import (
+    VEHICLE_MARGIN_M,
+    SceneOrigin,
+    Site,
+    place_of,
+    read_traffic,
+    resolve_file,
+)
 from glintrack.scene.traffic import Recording
 
 _CROP_MARGIN_M = 300.0  # of streets beyond the window, where traffic comes from
@@ -109,7 +116,7 @@ def _site(
             f"`scene.centre_m` must put streets into the window, got {driven:.0f} m of lanes in "
             f"{design.size_m[0]:g} × {design.size_m[1]:g} m about ({centre[0]:g}, {centre[1]:g})"
         )
-    recording, guessed = _traffic(design, net_path, network, near, centre)
+    recording, guessed = _traffic(design, net_path, network, near, centre, None if more else place)
     shapes = ((f, translate(f.shape, -centre[0], -centre[1])) for f in found.footprints)
     grounds = ((kind, translate(shape, -centre[0], -centre[1])) for kind, shape in found.grounds)
     local = replace(
@@ -147,13 +154,16 @@ def _traffic(
     network: RoadNetwork,
     near: RoadNetwork,
     centre: tuple[float, float],
+    place: SceneOrigin | None,
 ) -> tuple[Recording, tuple[str, ...]]:
     west, south, east, north = design.extent_m
     window = (centre[0] + west, centre[1] + south, centre[0] + east, centre[1] + north)
     kept = expand_extent(window, VEHICLE_MARGIN_M)
     if design.traffic_file:
-        traffic, changes = read_fcd(resolve_file(design.traffic_file), kept)
-        return Recording(near, traffic.shift(-centre[0], -centre[1])), changes
+        traffic, changes = read_traffic(
+            design, expand_extent(design.extent_m, VEHICLE_MARGIN_M), place, centre
+        )
+        return Recording(near, traffic), changes
     crop = expand_extent(window, _CROP_MARGIN_M)
     driven = sum(lane.line.length for lane in network.within(box(*crop)).of_kind("car"))
     period = design.traffic_insertion_period_s
