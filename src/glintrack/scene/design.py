@@ -21,7 +21,7 @@ _ONLY_FOR = {
     **dict.fromkeys(("net_file", "polygons_file"), ("net",)),
     "osm_file": ("osm",),
     **dict.fromkeys(("mesh_file", "mesh_up", "mesh_unit_m"), ("mesh",)),
-    **dict.fromkeys(("centre_m", "fill_blocks"), ("net", "osm")),
+    **dict.fromkeys(("centre_m", "fill_blocks", "left_hand"), ("net", "osm")),
     "crs": ("net", "osm", "mesh"),
     "traffic_file": ("embedded", "net", "osm", "mesh"),
 }
@@ -93,6 +93,8 @@ class SceneDesign(Design):
     """Polarize the light of bases, for materials with a `polarized_base` (asphalt, concrete): Umov's law."""
     dem_file: FileName | None = None
     """Heights of the ground, any raster with a CRS that GDAL reads; the scene is draped over it."""
+    left_hand: bool | None = None
+    """Traffic keeps left; by default as the SUMO network says, or the country of an OpenStreetMap extract."""
     crs: str | None = None
     """Projected CRS of ENU (0, 0); for a mesh, and for networks without a projection."""
     origin_m: tuple[Coordinate, Coordinate] | None = None

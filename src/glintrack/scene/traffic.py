@@ -237,6 +237,7 @@ def write_recording(path: Path, recording: Recording, attributes: Mapping[str, A
         "angle": samples(headings, f"{_ANGLE_UNIT_RAD} rad"),
     }
     about = {**attributes, "format": FORMAT, "step_s": traffic.step_s, "steps": traffic.steps}
+    about |= {"left_hand": 1} if recording.network.left_hand else {}
     write_dataset(path, xr.Dataset(tables, attrs=about))
 
 
@@ -259,6 +260,7 @@ def read_recording(path: Path) -> Recording:
         tables = {str(name): variable.values for name, variable in file.variables.items()}
         edges, types = (str(file[key].attrs["names"]) for key in ("lane_edge", "lane_type"))
         network = _network(tables, edges.split(" "), types.split(";"))
+        network = replace(network, left_hand=bool(file.attrs.get("left_hand", 0)))
         count = tables["vehicle_count"].astype(np.int64)
         traffic = Traffic(
             step_s=step_s,

@@ -72,10 +72,18 @@ class RoadNetwork:
         Every lane, crossing and walking area.
     junctions
         Areas of the junctions where motor vehicles pass.
+    left_hand
+        True if traffic keeps left: the kerb is left of the lanes, and oncoming traffic right.
     """
 
     lanes: tuple[Lane, ...]
     junctions: tuple[Float[Array, "corner 2"], ...]
+    left_hand: bool = False
+
+    @property
+    def kerb_side(self) -> float:
+        """Sign of offsets towards the kerb: 1 is left of the driving direction, −1 right."""
+        return 1.0 if self.left_hand else -1.0
 
     def of_kind(self, *kinds: LaneKind) -> list[Lane]:
         """Select the lanes of some kinds."""
@@ -87,13 +95,15 @@ class RoadNetwork:
         return RoadNetwork(
             tuple(replace(lane, points=lane.points + move) for lane in self.lanes),
             tuple(corners + move for corners in self.junctions),
+            self.left_hand,
         )
 
     def within(self, area: Polygon) -> "RoadNetwork":
         """Select the lanes and junctions that touch an area, without cutting them."""
         shapes = [Polygon(one.points) if one.kind == "walking_area" else one.line for one in self.lanes]
         lanes = (lane for lane, shape in zip(self.lanes, shapes, strict=True) if shape.intersects(area))
-        return RoadNetwork(tuple(lanes), tuple(c for c in self.junctions if Polygon(c).intersects(area)))
+        junctions = tuple(c for c in self.junctions if Polygon(c).intersects(area))
+        return RoadNetwork(tuple(lanes), junctions, self.left_hand)
 
 
 ROAD_M, PAVEMENT_M, GROUND_M, MARKING_M, BASE_M = 0.0, 0.12, 0.05, 0.02, -0.10
@@ -232,9 +242,9 @@ def _markings(network: RoadNetwork) -> BaseGeometry:
         if line.length < 6 or lane.width_m < 2.8 or "service" in lane.street_type:
             continue
         if (lane.edge_id, lane.index - 1) in inner:
-            shapes += _dashes(line.offset_curve(-lane.width_m / 2), 3.0, 6.0)
+            shapes += _dashes(line.offset_curve(network.kerb_side * lane.width_m / 2), 3.0, 6.0)
         if lane.index == top[lane.edge_id]:
-            centre = line.offset_curve(lane.width_m / 2 - 0.12)
+            centre = line.offset_curve(network.kerb_side * (0.12 - lane.width_m / 2))
             shapes += _dashes(centre, 3.0, 4.5) if "residential" in lane.street_type else [centre]
         if lane.signalled:  # a stop line
             end = np.array(line.interpolate(max(line.length - 0.8, 0.0)).coords[0])

@@ -1,7 +1,11 @@
-"""Read triangle meshes in glTF, OBJ, PLY and STL through trimesh (extra ``mesh``)."""
+"""Read meshes: OBJ and PLY by their polygons, glTF and STL through trimesh (extra ``mesh``).
+
+What trimesh loads is compared with what the file holds, and features that it ignores are refused by name.
+"""
 
 import logging
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,16 +15,17 @@ from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.designs import suggest_name
-from glintrack.core.installation import require_extra
+from glintrack.core.installation import MissingExtraError, require_extra
 from glintrack.core.records import Extent
+from glintrack.io.readings import report_reading
 from glintrack.io.untrusted import check_file, plain, read_bytes, resolve_path
 from glintrack.scene.objects.geometry import Mesh
+from glintrack.scene.read.gltf_contents import read_contents
+from glintrack.scene.read.polygon_mesh import MAX_BYTES, MAX_FACES, Part, read_obj, read_ply
 
 _ENDINGS = (".glb", ".gltf", ".obj", ".ply", ".stl")
 _MIN_WIDTH_M, _MAX_WIDTH_M, _MAX_HEIGHT_M = 20.0, 20e3, 2000.0  # of a scene: others have wrong units
-_MAX_FACES = 8_000_000
-_MAX_BYTES = 2_000_000_000
-_NAMED = (".bin", ".mtl")
+_NAMED = (".bin",)
 _UNITS_M = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048, "kilometres": 1000.0}
 
 
@@ -111,24 +116,31 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
     """
     if path.suffix.lower() not in _ENDINGS:
         raise ValueError(f"`mesh_file` must end in {', '.join(_ENDINGS)}, got {path.name!r}")
-    check_file(path, "mesh_file", _MAX_BYTES)
-    parts = _parts(path)
+    check_file(path, "mesh_file", MAX_BYTES)
+    try:
+        parts = _read_parts(path)
+    except MissingExtraError:
+        raise
+    except Exception as error:  # a dozen parsers have many errors for damaged files
+        raise ValueError(
+            f"`mesh_file` must be a whole mesh, got {path.name!r}: {plain(error, 200)}".split("\n")[0]
+        ) from error
     if not parts:
         raise ValueError(f"`mesh_file` must hold triangles, got none in {path.name!r}")
-    counts = [len(vertices) for _, vertices, _ in parts]
-    vertices = np.concatenate([v for _, v, _ in parts])
+    counts = [len(part.vertices) for part in parts]
+    vertices = np.concatenate([part.vertices for part in parts])
     starts = np.cumsum(counts) - counts
-    faces = np.concatenate([f + s for (_, _, f), s in zip(parts, starts, strict=True)])
-    names = tuple(dict.fromkeys(name for name, _, _ in parts))
-    name_of = np.concatenate([np.full(len(f), names.index(n)) for n, _, f in parts])
+    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
+    names = tuple(dict.fromkeys(part.name for part in parts))
+    name_of = np.concatenate([np.full(len(part.faces), names.index(part.name)) for part in parts])
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise ValueError(
             "`mesh_file` must have finite coordinates, "
             f"got {int(bad.sum())} of {len(vertices)} vertices that are not"
         )
-    if len(faces) > _MAX_FACES:
-        raise ValueError(f"`mesh_file` must have at most {_MAX_FACES} triangles, got {len(faces)}")
+    if len(faces) > MAX_FACES:
+        raise ValueError(f"`mesh_file` must have at most {MAX_FACES} triangles, got {len(faces)}")
     if (up or default_up(path)) == "y":
         vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
     vertices = vertices * (unit_m or 1.0)
@@ -144,6 +156,8 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
     if first.size < kept.size:  # a ray would meet either at random
         flaws.append(f"{kept.size - first.size} triangles lie on others: the first of each is used")
         kept = kept[np.sort(first)]
+    gone = {"without area": int(flat.sum()), "on others": int((~flat).sum()) - len(kept)}
+    report_reading(path, "triangles", len(faces), len(kept), gone)
     corners = np.sort(joined.ravel()[faces[kept]][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     _, uses = np.unique(corners, axis=0, return_counts=True)
     if (uses > 2).any():
@@ -156,44 +170,63 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
     return NamedMesh(vertices, faces[kept], names, name_of[kept], tuple(flaws))
 
 
-def _parts(path: Path) -> list[tuple[str, Array, Array]]:
-    """List (name, vertices, faces) of each piece, in the file's own frame."""
+def _read_parts(path: Path) -> list[Part]:
+    """Read the parts of a mesh, in the file's own frame."""
+    match path.suffix.lower():
+        case ".obj":
+            return read_obj(path)
+        case ".ply":
+            return read_ply(path)
+        case ".stl":
+            content = read_bytes(path, "mesh_file", MAX_BYTES)
+            text = re.findall(rb"^\s*facet\b", content, re.MULTILINE | re.IGNORECASE)
+            binary = int.from_bytes(content[80:84], "little")
+            found = binary if len(content) == 84 + 50 * binary else len(text)
+            parts = _load(path)
+            report_reading(path, "facets", found, sum(len(part.faces) for part in parts))
+            return parts
+    expected = read_contents(path)
+    parts = _load(path)
+    report_reading(path, "primitives", expected.found, len(parts), expected.left_out)
+    report_reading(
+        path, "triangles of primitives", expected.triangles, sum(len(part.faces) for part in parts)
+    )
+    return parts
+
+
+def _load(path: Path) -> list[Part]:
+    """Load the parts of a mesh by trimesh."""
     trimesh = require_extra("trimesh", "mesh", "read meshes")
 
     class FolderResolver(trimesh.resolvers.FilePathResolver):
-        """Reads the buffers and materials in the mesh's folder or below, and no pictures."""
+        """Reads the buffers in the mesh's folder or below, and no pictures."""
 
         def get(self, name: str) -> bytes:
             file = resolve_path(path.parent / name)
             if not file.is_relative_to(resolve_path(path.parent)) or file.suffix.lower() not in _NAMED:
                 raise FileNotFoundError(f"{name}, no {' or '.join(_NAMED)} file in the mesh's folder")
-            return read_bytes(file, "mesh_file", _MAX_BYTES)
+            return read_bytes(file, "mesh_file", MAX_BYTES)
 
     log = logging.getLogger("trimesh.util")  # of all its modules; it logs errors that it recovers from
+    before, log.disabled = log.disabled, True
     try:
-        before, log.disabled = log.disabled, True
-        try:
-            scene = trimesh.load(path, resolver=FolderResolver(str(path)), force="scene", process=False)
-        finally:
-            log.disabled = before
-        found = []
-        for node in sorted(scene.graph.nodes_geometry):
-            matrix, geometry = scene.graph[node]
-            mesh = scene.geometry[geometry]
-            if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
-                continue
-            vertices = np.asarray(mesh.vertices, float) @ matrix[:3, :3].T + matrix[:3, 3]
-            faces = np.asarray(mesh.faces, int)
-            if faces.min() < 0 or faces.max() >= len(vertices):
-                raise ValueError(f"a triangle with a corner that is none of {len(vertices)}")
-            if np.linalg.det(matrix[:3, :3]) < 0:
-                faces = faces[:, ::-1]
-            own = getattr(getattr(mesh.visual, "material", None), "name", None)
-            found.append((str(own or geometry or node), vertices, faces))
-    except Exception as error:  # a dozen parsers have many errors for damaged files
-        raise ValueError(
-            f"`mesh_file` must be a whole mesh, got {path.name!r}: {plain(error, 200)}".split("\n")[0]
-        ) from error
+        scene = trimesh.load(path, resolver=FolderResolver(str(path)), force="scene", process=False)
+    finally:
+        log.disabled = before
+    found = []
+    for node in sorted(scene.graph.nodes_geometry):
+        matrix, geometry = scene.graph[node]
+        mesh = scene.geometry[geometry]
+        if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+            continue
+        vertices = np.asarray(mesh.vertices, float) @ matrix[:3, :3].T + matrix[:3, 3]
+        faces = np.asarray(mesh.faces, int)
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise ValueError(f"a triangle with a corner that is none of {len(vertices)}")
+        if np.linalg.det(matrix[:3, :3]) < 0:
+            faces = faces[:, ::-1]
+        own = getattr(getattr(mesh.visual, "material", None), "name", None)
+        found.append(Part(str(own or geometry or node), vertices, faces))
     return found
 
 

@@ -92,16 +92,17 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
         and len(junction.get("shape", "").split()) > 2
         and motor_lanes.intersection(junction.get("incLanes", "").split())
     )
+    network = RoadNetwork(lanes, junctions, root.get("lefthand", "false").lower() in ("true", "1"))
     location = root.find("location")
     if location is None:
-        return RoadNetwork(lanes, junctions), NetLocation()
+        return network, NetLocation()
     offsets = shape_points(path, location.get("netOffset", "0,0"))
     if len(offsets) != 1:
         raise ValueError(f"`{path.name}` must give one netOffset, got {location.get('netOffset')!r:.60}")
     east, north = offsets[0].tolist()
     projection = location.get("projParameter", "!").strip()
     known = projection if projection not in ("!", "-", ".", "") else None
-    return RoadNetwork(lanes, junctions), NetLocation((east, north), known)
+    return network, NetLocation((east, north), known)
 
 
 def count_standing_signals(path: Path) -> int:

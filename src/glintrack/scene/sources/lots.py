@@ -164,7 +164,7 @@ def street_trees(
     for lane in network.of_kind("walk"):
         if lane.line.length < 20:
             continue
-        row = lane.line.offset_curve(-(lane.width_m / 2 + 1.3))
+        row = lane.line.offset_curve(network.kerb_side * (lane.width_m / 2 + 1.3))
         for d in np.arange(7.0, row.length - 7.0, 13.0):
             point = row.interpolate(d + rng.uniform(-2.5, 2.5))
             tree = draw_tree(point.x, point.y, rng, (6.0, 11.0))
@@ -273,7 +273,7 @@ def pavement_parking(
         quiet = any(word in lane.street_type for word in ("residential", "unclassified", "living_street"))
         if not quiet or lane.index > 1 or lane.line.length < 25:
             continue
-        row = lane.line.offset_curve(-(lane.width_m / 2 + 0.95))
+        row = lane.line.offset_curve(network.kerb_side * (lane.width_m / 2 + 0.95))
         if not isinstance(row, LineString):
             continue
         for d in np.arange(8.0, row.length - 8.0, 5.9):

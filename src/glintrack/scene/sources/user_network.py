@@ -21,6 +21,7 @@ from glintrack.scene.objects.geometry import cut_into_tiles, polygons
 from glintrack.scene.objects.layout import MARGIN_M, Layout, area_with_margin, expand_extent
 from glintrack.scene.objects.plants import Tree, draw_tree
 from glintrack.scene.objects.surfaces import GroundPatch, RoadNetwork, blocks, road_areas
+from glintrack.scene.read.driving_side import keeps_left
 from glintrack.scene.read.osm import read_osm
 from glintrack.scene.read.polygons import Polygons, read_polygons
 from glintrack.scene.read.sumo import (
@@ -77,7 +78,9 @@ def network_site(design: SceneDesign) -> Site:
     with tempfile.TemporaryDirectory(prefix="glintrack-city-") as scratch:
         if design.city == "osm":
             net_path = Path(scratch) / "osm.net.xml"
-            network, location, found = read_osm(resolve_file(str(design.osm_file)), net_path)
+            network, location, found = read_osm(
+                resolve_file(str(design.osm_file)), net_path, design.left_hand
+            )
         else:
             net_path = resolve_file(str(design.net_file))
             network, location = read_sumo_net(net_path)
@@ -101,6 +104,7 @@ def _site(
         )
     place, more = place_of(design, location, centre, "network has no projection")
     degrees = place.longitude_latitude_deg
+    assumptions += _driving_side(design, network, None if more else degrees)
     for pair in (degrees, degrees[::-1]):  # a small network has the town's degrees as metres too
         if design.centre_m and all(abs(a - b) < _NEAR_DEG for a, b in zip(centre, pair, strict=True)):
             raise ValueError(
@@ -128,6 +132,25 @@ def _site(
     assumptions += (*more, *guessed, *_guesses(local, streets_through_buildings(near, local), fill))
     layout = partial(_layout, near, local, area, fill)
     return Site(recording, place, extent, layout, traffic_origin_m=centre, assumptions=assumptions)
+
+
+def _driving_side(
+    design: SceneDesign, network: RoadNetwork, place_deg: tuple[float, float] | None
+) -> tuple[str, ...]:
+    """Sentence on the side of the road that traffic keeps to, and why; the network must be built for it."""
+    if design.left_hand is not None:
+        if design.left_hand != network.left_hand:
+            raise ValueError(
+                f"`scene.left_hand` must be that of the network, {str(network.left_hand).lower()}, got "
+                f"{str(design.left_hand).lower()} (build it by netconvert with --lefthand or without)"
+            )
+        return ()
+    side, other = ("left", "right") if network.left_hand else ("right", "left")
+    if design.city == "osm":
+        return (f"traffic keeps {side}, as in the country (scene.left_hand)",)
+    if place_deg is not None and keeps_left(*place_deg) != network.left_hand:
+        return (f"traffic keeps {side}, as the network says, although it keeps {other} in the country",)
+    return (f"traffic keeps {side}, as the network says",)
 
 
 def busiest_place(network: RoadNetwork, width_m: float, height_m: float) -> tuple[float, float]:
