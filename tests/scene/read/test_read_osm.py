@@ -5,6 +5,7 @@ import gzip
 import importlib.util
 import json
 
+import numpy as np
 import pytest
 
 from glintrack.io.readings import collect_readings
@@ -169,6 +170,24 @@ def test_streets_in_tunnels_are_none_on_the_ground(tmp_path):
         lengths.append(sum(lane.line.length for lane in network.of_kind("car")))
     assert readings[0].left_out == (("in a tunnel", 1),)
     assert lengths[1] == pytest.approx(lengths[0] * 7 / 8, rel=0.1)
+
+
+@needs_sumo
+@pytest.mark.parametrize(("left_hand", "side"), [(None, -1), (True, 1)])
+def test_oncoming_lanes_lie_on_the_other_side(tmp_path, left_hand, side):
+    """In Braunschweig by default left of one's own, in SUMO's own network."""
+    (tmp_path / "a.osm").write_text(_Areas().text(), encoding="utf-8")
+    network, _, _ = read_osm(tmp_path / "a.osm", tmp_path / "n.net.xml", left_hand)
+    assert network.left_hand == (side == 1)
+    cars = {lane.edge_id: lane for lane in network.of_kind("car")}
+    pairs = [(lane, cars[f"-{name}"]) for name, lane in cars.items() if f"-{name}" in cars]
+    assert len(pairs) >= 12
+    for lane, oncoming in pairs:
+        ahead, across = (
+            lane.points[-1] - lane.points[0],
+            oncoming.points.mean(axis=0) - lane.points.mean(axis=0),
+        )
+        assert np.sign(ahead[0] * across[1] - ahead[1] * across[0]) == -side
 
 
 @needs_sumo

@@ -1,17 +1,21 @@
 """Cities from files a user brings: what the files say is there, what they do not say is told."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
+import shapely.affinity
 from pydantic import ValidationError
 from shapely.geometry import Polygon
 
 from glintrack.core import schema
 from glintrack.core.installation import MissingExtraError
 from glintrack.scene import SceneDesign, build_scene
-from glintrack.scene.objects.surfaces import Lane, RoadNetwork
+from glintrack.scene.objects.surfaces import Lane, RoadNetwork, road_areas
 from glintrack.scene.read.polygons import Footprint, Polygons
 from glintrack.scene.read.sumo import sumo_home
+from glintrack.scene.sources.lots import pavement_parking
 from glintrack.scene.sources.user_network import busiest_place, streets_through_buildings
 from tests.scene.read.test_sumo_net import NET
 from tests.scene.town_osm import town_osm
@@ -62,6 +66,43 @@ def test_polygons_become_buildings(files):
     city = build_scene(tiny(files, polygons_file=str(files / "p.xml"), trees=False))
     inside = np.abs(city.static.vertices[:, :2] - [-20, 20]).max(axis=1) < 10.5
     assert 21 <= city.static.vertices[inside, 2].max() < 35  # walls to 21 m, then a roof
+
+
+def lefthand(text):
+    return (
+        text.replace("<net ", '<net lefthand="true" ', 1)
+        if "<net " in text
+        else text.replace("<net>", '<net lefthand="true">')
+    )
+
+
+def test_left_hand_traffic_has_its_kerb_and_its_markings_on_the_left(files):
+    """The mirror image of a network that keeps right is one that keeps left, to its parked cars and paint."""
+    right = Lane("ab", 0, "car", np.array([[0.0, 0.0], [90.0, 0.0]]), 3.2, street_type="highway.residential")
+    fast = Lane("ab", 1, "car", right.points + [0, 3.2], 3.2, street_type="highway.residential")
+    mirrored = [replace(lane, points=lane.points * [1, -1]) for lane in (right, fast)]
+    area = shapely.box(-20, -60, 120, 60)
+    there = RoadNetwork((right, fast), ())
+    here = RoadNetwork(tuple(mirrored), (), left_hand=True)
+    paint, mirror = (road_areas(network, area).markings for network in (there, here))
+    assert paint.area > 5
+    assert paint.symmetric_difference(shapely.affinity.scale(mirror, 1, -1, origin=(0, 0))).area < 0.01
+    parked, other = (
+        pavement_parking(network, Polygon(), Polygon(), area, np.random.default_rng(3))
+        for network in (there, here)
+    )
+    assert len(parked) > 4
+    assert [p.north_m for p in parked] == pytest.approx([-p.north_m for p in other])
+    assert (here.shift(1, 1).left_hand, here.within(area).left_hand) == (True, True)
+
+
+def test_the_side_of_the_road_is_the_networks_and_is_told(files):
+    (files / "l.net.xml").write_text(lefthand(NET))
+    left = build_scene(tiny(files, net_file=str(files / "l.net.xml")))
+    assert "traffic keeps left, as the network says" in left.assumptions
+    assert "traffic keeps right, as the network says" in build_scene(tiny(files)).assumptions
+    with pytest.raises(ValueError, match=r"`scene.left_hand` must be that of the network, false, got true"):
+        build_scene(tiny(files, left_hand=True))
 
 
 def test_no_houses_are_built_where_blocks_are_not_filled(files, monkeypatch):
@@ -181,7 +222,7 @@ def test_a_town_of_openstreetmap_stands_and_is_driven_in(tmp_path, monkeypatch):
     assert (city.latitude_deg, city.longitude_deg) == pytest.approx((50.0, 8.0), abs=2e-3)
     assert city.truth(60.0).sizes["vehicle"] > 0
     told = " ".join(city.assumptions)
-    assert "2 of 4 building heights are unknown" in told and "1 rings inside others" in told
+    assert "2 of 4 building heights are unknown" in told and "traffic keeps right, as in the country" in told
     # the same extract finds its traffic in the cache: netconvert's dated comments do not count
     build_scene(design)
     assert len(list((tmp_path / "cache" / "glintrack" / "traffic").iterdir())) == 1

@@ -88,6 +88,8 @@ def read_osm(
     root = read_xml(path)  # SUMO reads half a file without complaint, and follows entities
     if root.tag != "osm":
         raise ValueError(f"`{path.name}` must be OpenStreetMap XML (root element osm), got {root.tag!r}")
+    if not any(tag.get("k") == "highway" for way in root.iter("way") for tag in way.iter("tag")):
+        raise ValueError(f"`{path.name}` must hold at least one way with a highway tag, got none")
     home = sumo_home()
     typemap = home / "data" / "typemap"
     typemaps = [typemap / f"osmNetconvert{kind}.typ.xml" for kind in ("", "UrbanDe")]
@@ -146,10 +148,6 @@ def _prepare(path: Path, root: Element, types: set[str]) -> bytes:
             gone.update(["in a tunnel" if hidden else "deleted"] if value else [])
         elif value and (f"highway.{value}" not in types or value == "construction"):
             gone.update([f"no street for SUMO: highway={value[:_MAX_NAME]}"])
-    if streets == gone.total():
-        raise ValueError(
-            f"`{path.name}` must hold at least one way with a highway tag, got none that is a street"
-        )
     report_reading(path, "streets", streets, streets - gone.total(), gone)
     found = [_KINDS.get(element.tag, -1) for element in root]
     if found == sorted(found) and len(root) == len(elements):
@@ -220,8 +218,7 @@ def _areas(path: Path, extract: _Extract, location: NetLocation) -> Polygons:
     used = len(found) - gone[TOO_SMALL]
     heights = unread_heights(tags for kind, tags, _ in found if kind == "building")
     report_reading(path, "buildings and grounds", total, used, gone, heights)
-    holes = sum(len(footprint.shape.interiors) for footprint in footprints)
-    return Polygons(tuple(footprints), tuple(grounds), holes)
+    return Polygons(tuple(footprints), tuple(grounds))
 
 
 def _project(nodes: dict[str, tuple[float, float]], location: NetLocation) -> dict[str, tuple[float, float]]:
