@@ -34,7 +34,7 @@ SceneArgument = Annotated[
 @app.command()
 def build(
     output: Annotated[Path, option("Case file to write", "-o", "--output")] = Path("scene.toml"),
-    osm: Annotated[Path | None, option("OpenStreetMap extract, .osm or .osm.gz")] = None,
+    osm: Annotated[Path | None, option("OpenStreetMap extract, .osm, .osm.gz or .osm.bz2")] = None,
     sumo_net: Annotated[str | None, option("SUMO network, or sumo:PATH in the SUMO package")] = None,
     polygons: Annotated[str | None, option("Polygons of SUMO's polyconvert")] = None,
     mesh: Annotated[Path | None, option("Triangle mesh: .glb, .gltf, .obj, .ply or .stl")] = None,

@@ -77,7 +77,7 @@ class SceneDesign(Design):
     polygons_file: FileName | None = None
     """polyconvert's polygons of that network."""
     osm_file: FileName | None = None
-    """OpenStreetMap XML, .osm, plain or gzipped."""
+    """OpenStreetMap XML, .osm, plain, or in a gzip or bzip2 archive."""
     fill_blocks: bool | None = None
     """Build houses by rule on land where the files have none. By default only if they have none at all; a
     motorway needs `false`."""
@@ -105,7 +105,7 @@ class SceneDesign(Design):
     """Calibration panels."""
     traffic_file: FileName | None = None
     """Floating-car data (SUMO's FCD as XML, CSV or Parquet) in the network's coordinates, or in ENU for an
-    embedded city or a mesh."""
+    embedded city or a mesh; or in degrees, for a city with a place."""
     traffic_duration_s: float = Field(default=120.0, gt=0, le=3600)
     """Length of the recording SUMO makes; the shipped one is 120 s long, and SUMO simulates a longer one."""
     traffic_insertion_period_s: float | None = Field(default=None, ge=0.01, le=3600)

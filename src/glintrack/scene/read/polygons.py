@@ -32,7 +32,7 @@ _MAX_HEIGHT_M = 900.0
 # kind of ground, OpenStreetMap's key, and its values; the first match counts
 _GROUNDS = (
     ("water", "natural", ("water",)),
-    ("water", "waterway", ("riverbank", "dock", "river", "canal")),
+    ("water", "waterway", ("riverbank", "dock")),
     ("water", "landuse", ("basin", "reservoir")),
     ("water", "leisure", ("swimming_pool",)),
     ("forest", "landuse", ("forest",)),
@@ -151,7 +151,8 @@ def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
 
 def height_of(tags: Mapping[str, str]) -> float | None:
     """Height of a building, by its own tag, else by its storeys; None if neither can be read. [m]"""
-    heights = [_length(text.strip()) for text in tags.get("height", "").split(";")]
+    given = tags.get("height") or tags.get("est_height", "")
+    heights = [_length(text.strip()) for text in given.split(";")]
     if None not in heights:
         height = max(filter(None, heights), default=0.0)
         return height if 0 < height <= _MAX_HEIGHT_M else None
@@ -179,12 +180,15 @@ def _length(text: str) -> float | None:
 
 
 def _levels(text: str) -> float | None:
-    """Storeys of a number, a range, or a list of levels, of which 0 is the ground floor; None for others."""
-    words = re.split(r"\s*;\s*|,\s+|\s*-\s*(?=\d)", text.strip())
-    if text.count(",") > 1:
-        words = re.split(r"\s*[;,]\s*", text.strip())
-    numbers = [float(w.replace(",", ".")) for w in words if re.fullmatch(rf"-?{_NUMBER}", w)]
-    if not numbers or len(numbers) < len([word for word in words if word]):
+    """Highest of a number, a range, or a list of storeys; None for others.
+
+    A list with 0 counts from the ground floor. A comma is a decimal one before a half or a quarter only.
+    """
+    decimal = re.fullmatch(r"\d*,(5|25|75)", text.strip())
+    words = [text.replace(",", ".")] if decimal else re.split(r"[;,]|(?<=\d)\s*-\s*(?=\d)", text)
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
         return None
     return max(numbers) + (len(numbers) > 1 and 0 in numbers)
 
