@@ -185,7 +185,7 @@ def _read_rows(path: Path, name: str, id_column: str) -> tuple[xr.Dataset, pd.Da
 
 def _identities(table: pd.DataFrame, path: Path, column: str) -> Float[Array, "row"]:
     """Identities as numbers; where one is a text, they are numbered in the order in which they appear."""
-    given = table[column]
+    given = pd.Series(table[column])
     if pd.api.types.is_numeric_dtype(given) or given.isna().any():
         return _finite_numbers(table, path, (column,))[:, 0]
     return pd.factorize(given.astype(str).str.strip())[0].astype(float)

@@ -59,16 +59,9 @@ def report_reading(
     left_out: Mapping[str, int] | None = None,
     notes: Sequence[str] = (),
 ) -> None:
-    """Report one kind of content of a file that was read.
+    """Report one kind of content of a file, see `Reading`; ``left_out`` is the number by reason.
 
-    Parameters
-    ----------
-    path
-        File.
-    content, found, used, notes
-        As of `Reading`. Count ``found`` in the file and ``used`` in the result, each by itself.
-    left_out
-        Number of what was not used, by reason.
+    Count ``found`` in the file and ``used`` in the result, each by itself.
 
     Raises
     ------

@@ -101,7 +101,9 @@ def test_the_side_of_the_road_is_the_networks_and_is_told(files):
     left = build_scene(tiny(files, net_file=str(files / "l.net.xml")))
     assert "traffic keeps left, as the network says" in left.assumptions
     assert "traffic keeps right, as the network says" in build_scene(tiny(files)).assumptions
-    with pytest.raises(ValueError, match=r"`scene.left_hand` must be that of the network, false, got true"):
+    with pytest.raises(
+        ValueError, match=r"`scene.left_hand` must be that of the network, whose traffic keeps right"
+    ):
         build_scene(tiny(files, left_hand=True))
 
 

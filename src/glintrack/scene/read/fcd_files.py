@@ -4,7 +4,6 @@ The forms of one simulation give the same rows. CSV and Parquet name all columns
 person perhaps, and have a row without a vehicle for a time step without one. Times may be ``H:M:S``.
 """
 
-import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,15 +32,10 @@ _MAX_LINE_BYTES = 100_000
 
 @dataclass(frozen=True)
 class FcdRows:
-    """Vehicles at times, in the order of the file.
+    """Times of all time steps [s], and a table of vehicles at times in the order of the file.
 
-    Parameters
-    ----------
-    clock_s
-        Times of all time steps, rising, also of those without a vehicle. [s]
-    table
-        Columns ``timestep_time`` [s], ``vehicle_id``, ``vehicle_type`` (empty where there is none, ``person``
-        for all that are no vehicles), ``vehicle_x``, ``vehicle_y``, and ``vehicle_angle`` [deg] if given.
+    The table has ``timestep_time`` [s], ``vehicle_id``, ``vehicle_type`` (``person`` for persons and
+    containers, empty if unknown), ``vehicle_x``, ``vehicle_y``, and ``vehicle_angle`` [deg] if given.
     """
 
     clock_s: Float[Array, "time"]
@@ -49,13 +43,7 @@ class FcdRows:
 
 
 def read_fcd_rows(path: Path) -> FcdRows:
-    """Read the rows of a file of floating-car data.
-
-    Raises
-    ------
-    ValueError
-        If the file is damaged or hostile, or holds no such data, or has a row without a time or a vehicle.
-    """
+    """Read the rows of a file; a ValueError tells what is damaged, missing or hostile."""
     raw = _reader(path)(path)
     source_of: dict[str, str] = {}
     for name in raw.columns:
@@ -75,15 +63,15 @@ def read_fcd_rows(path: Path) -> FcdRows:
         )
     table = pd.DataFrame({own: raw[name] for own, name in source_of.items()})
     table[_TIME] = _seconds(pd.Series(table[_TIME]))
-    for name in _NUMBERS:
-        if name in table:
-            try:
-                table[name] = np.asarray(pd.to_numeric(table[name], errors="coerce"), dtype=float)
-            except OverflowError as error:
-                raise ValueError(
-                    f"`{path.name}` must hold numbers that fit, got {error} in {name}"
-                ) from error
-    person = _is_person(table)
+    try:
+        for name in filter(table.__contains__, _NUMBERS):
+            table[name] = pd.Series(pd.to_numeric(table[name], errors="coerce"), dtype=float)
+    except OverflowError as error:
+        raise ValueError(f"`{path.name}` must hold numbers that fit, got {error}") from error
+    person = np.zeros(len(table), bool)
+    if set(_PLACE) <= set(table):  # an edge and no lane, where others have a lane
+        lane, edge = (table[name].notna() & (table[name] != "") for name in _PLACE)
+        person |= (edge & ~lane).to_numpy() & bool(lane.any())
     for other in _OTHERS:  # of xml2csv, which gives them columns of their own
         ids = raw.get(f"{other}_id")
         if ids is not None and source_of[_ID] == _ID:
@@ -125,32 +113,13 @@ def _column(name: str) -> str:
     return next((known for known in _COLUMNS if known.partition("_")[2] == bare), name)
 
 
-def _is_person(table: pd.DataFrame) -> Array:
-    """Rows of persons and containers: those with an edge and no lane, where other rows have a lane."""
-    if not set(_PLACE) <= set(table.columns):
-        return np.zeros(len(table), bool)
-    lane, edge = (table[name].notna() & (table[name] != "") for name in _PLACE)
-    return (edge & ~lane).to_numpy() & bool(lane.any())
-
-
-def _seconds(column: pd.Series) -> Array:
+def _seconds(column: pd.Series) -> pd.Series:
     """Parse times that are numbers, or SUMO's ``H:M:S`` or ``D:H:M:S``; NaN for others. [s]"""
-    if pd.api.types.is_numeric_dtype(column):
-        return column.to_numpy(dtype=float)
-    codes, texts = pd.factorize(column)
-    times = np.array([*map(_parse_time, map(str, texts)), math.nan])
-    return times[codes]  # −1, of a missing time, is the last
-
-
-def _parse_time(text: str) -> float:
-    try:
-        *larger, seconds = map(float, text.split(":"))
-    except ValueError:
-        return math.nan
-    units_s = (86_400.0, 3600.0, 60.0)
-    if len(larger) > len(units_s):
-        return math.nan
-    return seconds + sum(n * unit_s for n, unit_s in zip(larger, units_s[3 - len(larger) :], strict=True))
+    numbers = pd.Series(pd.to_numeric(column, errors="coerce"), dtype=float)
+    if numbers.notna().all():
+        return numbers
+    texts = column.astype(str).str.replace(r"^(\d+):(\d+:\d+:)", r"\1 days \2", regex=True)
+    return numbers.fillna(pd.to_timedelta(texts.where(numbers.isna()), errors="coerce").dt.total_seconds())
 
 
 def _most_rows(path: Path) -> int:

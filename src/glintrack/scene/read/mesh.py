@@ -20,7 +20,7 @@ from glintrack.core.records import Extent
 from glintrack.io.readings import report_reading
 from glintrack.io.untrusted import check_file, plain, read_bytes, resolve_path
 from glintrack.scene.objects.geometry import Mesh
-from glintrack.scene.read.gltf_contents import read_contents
+from glintrack.scene.read.gltf_contents import count_primitives
 from glintrack.scene.read.polygon_mesh import MAX_BYTES, MAX_FACES, Part, read_obj, read_ply
 
 _ENDINGS = (".glb", ".gltf", ".obj", ".ply", ".stl")
@@ -185,12 +185,10 @@ def _read_parts(path: Path) -> list[Part]:
             parts = _load(path)
             report_reading(path, "facets", found, sum(len(part.faces) for part in parts))
             return parts
-    expected = read_contents(path)
+    found, triangles, left_out = count_primitives(path)
     parts = _load(path)
-    report_reading(path, "primitives", expected.found, len(parts), expected.left_out)
-    report_reading(
-        path, "triangles of primitives", expected.triangles, sum(len(part.faces) for part in parts)
-    )
+    report_reading(path, "primitives", found, len(parts), left_out)
+    report_reading(path, "triangles of primitives", triangles, sum(len(part.faces) for part in parts))
     return parts
 
 

@@ -1,19 +1,13 @@
-"""Read OpenStreetMap extracts: streets by SUMO's netconvert, buildings and grounds by their own outlines.
+"""Read OpenStreetMap extracts: streets by SUMO's netconvert (extra ``traffic``), areas by their own outlines.
 
 Areas are closed ways and multipolygons, whose rings may consist of several ways. The tags of an old-style
-multipolygon are on its outer ways. SUMO (extra ``traffic``) converts the streets.
-
-References
-----------
-https://wiki.openstreetmap.org/wiki/Relation:multipolygon
+multipolygon are on its outer ways (https://wiki.openstreetmap.org/wiki/Relation:multipolygon).
 """
 
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -46,22 +40,17 @@ _NETCONVERT = (
 )
 _KINDS = {"node": 0, "way": 1, "relation": 2}
 _OPEN, _INCOMPLETE = "rings that do not close", "parts of them are not in the file"
+_ROLES = {"outer": False, "inner": True}  # others by the rings around
 _MAX_NAME = 30
 _TUNNELS = ("no", "building_passage")  # that are none, or that are seen
 
 
 @dataclass
-class _Way:
-    refs: list[str]
-    tags: dict[str, str]
-
-
-@dataclass
 class _Extract:
-    """Elements of an extract that areas are made of."""
+    """Places of nodes, nodes and tags of ways, and tags and roles of multipolygons."""
 
-    nodes: dict[str, tuple[float, float]] = field(default_factory=dict)
-    ways: dict[str, _Way] = field(default_factory=dict)
+    places: dict[str, tuple[float, float]] = field(default_factory=dict)
+    ways: dict[str, tuple[list[str], dict[str, str]]] = field(default_factory=dict)
     relations: list[tuple[dict[str, str], list[tuple[str, str]]]] = field(default_factory=list)
 
 
@@ -95,8 +84,8 @@ def read_osm(
     typemaps = [typemap / f"osmNetconvert{kind}.typ.xml" for kind in ("", "UrbanDe")]
     content = _prepare(path, root, {t.get("id", "") for t in read_xml(typemaps[0]).iter("type")})
     extract = _parse(path, root)
-    if left_hand is None and extract.nodes:
-        left_hand = keeps_left(*np.mean(list(extract.nodes.values()), axis=0).tolist())
+    if left_hand is None and extract.places:
+        left_hand = keeps_left(*np.mean(list(extract.places.values()), axis=0).tolist())
     with tempfile.TemporaryDirectory(prefix="glintrack-osm-") as scratch:
         folder = Path(scratch)
         (folder / "m.osm").write_bytes(content)
@@ -108,7 +97,7 @@ def read_osm(
         # without its comments, which hold the date: the same extract is the same network, byte for byte
         text = (folder / "m.net.xml").read_text(encoding="utf-8")
         net_path.write_text(re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL), encoding="utf-8")
-    return network, location, _areas(path, extract, location)
+    return network, location, _areas(path, _project(extract, location))
 
 
 def _check_format(path: Path) -> None:
@@ -157,115 +146,98 @@ def _prepare(path: Path, root: Element, types: set[str]) -> bytes:
 
 
 def _parse(path: Path, root: Element) -> _Extract:
+    """Collect nodes in degrees, ways, and multipolygons."""
     extract = _Extract()
     try:
         for element in root:
-            name = element.get("id", "")
+            name, tags = element.get("id", ""), _tags(element)
             if element.tag == "node":
-                extract.nodes[name] = float(element.get("lon", "")), float(element.get("lat", ""))
+                extract.places[name] = float(element.get("lon", "")), float(element.get("lat", ""))
             elif element.tag == "way":
-                refs = [nd.get("ref", "") for nd in element.iter("nd")]
-                extract.ways[name] = _Way(refs, _tags(element))
-            elif element.tag == "relation":
-                tags = _tags(element)
-                members = [m for m in element.iter("member") if m.get("type") == "way"]
-                if tags.pop("type", "") == "multipolygon":
-                    roles = [(m.get("ref", ""), m.get("role", "")) for m in members]
-                    extract.relations.append((tags, roles))
+                extract.ways[name] = [nd.get("ref", "") for nd in element.iter("nd")], tags
+            elif element.tag == "relation" and tags.pop("type", "") == "multipolygon":
+                ways = [member for member in element.iter("member") if member.get("type") == "way"]
+                extract.relations.append((tags, [(m.get("ref", ""), m.get("role", "")) for m in ways]))
     except ValueError as error:
         raise ValueError(f"`{path.name}` must give each node lon and lat in degrees, got {error}") from error
     return extract
 
 
-def _areas(path: Path, extract: _Extract, location: NetLocation) -> Polygons:
-    """Assemble buildings and grounds of an extract, in the coordinates of its network."""
-    places = _project(extract.nodes, location)
-    found: list[tuple[str, dict[str, str], BaseGeometry]] = []
-    gone: Counter[str] = Counter()
-    consumed: set[str] = set()
+def _project(extract: _Extract, location: NetLocation) -> _Extract:
+    """Project nodes as netconvert did. [m]"""
+    transformer = pyproj.Transformer.from_crs(4326, location.projection, always_xy=True)
+    x, y = transformer.transform(*np.array(list(extract.places.values())).T)
+    places = zip((x + location.offset_m[0]).tolist(), (y + location.offset_m[1]).tolist(), strict=True)
+    return replace(extract, places=dict(zip(extract.places, places, strict=True)))
 
-    def add(tags: dict[str, str], outline: Callable[[], BaseGeometry | str]) -> bool:
-        kind, reason = area_kind(tags)
-        shape = reason or (outline() if kind else "")
-        if not isinstance(shape, str):
-            found.append((str(kind), tags, shape))
-        elif shape:
-            gone.update([shape])
-        return bool(reason) or not isinstance(shape, str)
 
-    for tags, members in extract.relations:
-        outer = [extract.ways[ref] for ref, role in members if role != "inner" and ref in extract.ways]
-        if area_kind(tags) == (None, ""):  # old style
-            tags = next((way.tags for way in outer if area_kind(way.tags)[0]), tags)
-        if area_kind(tags) == (None, ""):
-            continue
-        kind, known = area_kind(tags)[0], {ref for ref, _ in members} & extract.ways.keys()
-        if add(tags, partial(_multipolygon, extract, places, members)):
-            consumed |= {ref for ref in known if area_kind(extract.ways[ref].tags)[0] == kind}
-    for ref, way in extract.ways.items():
-        if ref not in consumed:
-            add(way.tags, partial(_closed_way, way, places))
+def _areas(path: Path, extract: _Extract) -> Polygons:
+    """Assemble buildings and grounds of an extract with projected places."""
     footprints: list[Footprint] = []
     grounds: list[tuple[str, BaseGeometry]] = []
-    for kind, tags, shape in found:
+    tagged: list[dict[str, str]] = []
+    gone: Counter[str] = Counter()
+    consumed: set[str] = set()
+    used = 0
+
+    def add(tags: dict[str, str], members: list[tuple[str, str]]) -> bool:
+        """Add an area; return True if nothing is left to do about its ways."""
+        nonlocal used
+        kind, reason = area_kind(tags)
+        shape = reason or (_outline(extract, members) if kind else "")
+        if kind is None or isinstance(shape, str):
+            gone[str(shape)] += bool(shape)
+            return bool(reason)
         parts = area_parts(shape)
         gone.update([] if parts else [TOO_SMALL])
+        used += bool(parts)
         if kind == "building":
-            footprints += [Footprint(part, height_of(tags)) for part in parts]
+            tagged.append(tags)
+            footprints.extend(Footprint(part, height_of(tags)) for part in parts)
         else:
-            grounds += [(kind, part) for part in parts]
-    total = len(found) + gone.total() - gone[TOO_SMALL]
-    used = len(found) - gone[TOO_SMALL]
-    heights = unread_heights(tags for kind, tags, _ in found if kind == "building")
-    report_reading(path, "buildings and grounds", total, used, gone, heights)
+            grounds.extend((kind, part) for part in parts)
+        return True
+
+    for tags, members in extract.relations:
+        ways = {ref: extract.ways[ref][1] for ref, _ in members if ref in extract.ways}
+        if area_kind(tags)[0] is None:  # old style
+            outer = [ways[ref] for ref, role in members if role != "inner" and ref in ways]
+            tags = next((own for own in outer if area_kind(own)[0]), tags)
+        if add(tags, members):
+            consumed |= {ref for ref, own in ways.items() if area_kind(own)[0] == area_kind(tags)[0]}
+    for ref, (_, tags) in extract.ways.items():
+        if ref not in consumed:
+            add(tags, [(ref, "outer")])
+    count = used + gone.total()
+    report_reading(path, "buildings and grounds", count, used, gone, unread_heights(tagged))
     return Polygons(tuple(footprints), tuple(grounds))
 
 
-def _project(nodes: dict[str, tuple[float, float]], location: NetLocation) -> dict[str, tuple[float, float]]:
-    """Project nodes as netconvert did. [m]"""
-    if not nodes or location.projection is None:
-        return {}
-    transformer = pyproj.Transformer.from_crs(4326, location.projection, always_xy=True)
-    x, y = transformer.transform(*np.array(list(nodes.values())).T)
-    east, north = location.offset_m
-    return dict(zip(nodes, zip((x + east).tolist(), (y + north).tolist(), strict=True), strict=True))
+def _outline(extract: _Extract, members: list[tuple[str, str]]) -> BaseGeometry | str:
+    """Area of a closed way or a multipolygon, or the reason why it has none.
 
-
-def _closed_way(way: _Way, places: dict[str, tuple[float, float]]) -> BaseGeometry | str:
-    """Area of a closed way, or the reason why it has none."""
-    if len(way.refs) < 4 or way.refs[0] != way.refs[-1]:
-        return _OPEN
-    if any(ref not in places for ref in way.refs):
-        return _INCOMPLETE
-    return shapely.make_valid(Polygon([places[ref] for ref in way.refs]))
-
-
-def _multipolygon(
-    extract: _Extract, places: dict[str, tuple[float, float]], members: list[tuple[str, str]]
-) -> BaseGeometry | str:
-    """Area of a multipolygon, or the reason why it has none.
-
-    Rings of several ways are joined. Rings are added and cut out from the largest to the smallest, so that an
-    island in a lake remains.
+    Ways of a ring are joined. Rings are added and cut out from the largest to the smallest, so that an island
+    in a lake remains.
     """
-    rings: list[tuple[Polygon, bool | None]] = []
-    for roles, is_inner in ((("outer",), False), (("inner",), True), (("",), None)):
+    rings: list[tuple[BaseGeometry, bool | None]] = []
+    for is_inner in (False, True, None):
         lines = []
-        for ref, role in members:
-            way = extract.ways.get(ref)
-            if role not in roles and not (role not in ("outer", "inner") and roles == ("",)):
-                continue
-            if way is None or any(node not in places for node in way.refs):
+        for refs in (
+            extract.ways.get(ref, ((),))[0] for ref, role in members if _ROLES.get(role) is is_inner
+        ):
+            if not refs or any(node not in extract.places for node in refs):
                 return _INCOMPLETE
-            if len(way.refs) > 1:
-                lines.append(shapely.LineString([places[node] for node in way.refs]))
-        polygons, _, dangles, invalid = shapely.polygonize_full(lines)
+            points = [extract.places[node] for node in refs]
+            if len(refs) > 3 and refs[0] == refs[-1]:
+                rings.append((shapely.make_valid(Polygon(points)), is_inner))
+            elif len(refs) > 1:
+                lines.append(shapely.LineString(points))
+        joined, _, dangles, invalid = shapely.polygonize_full(lines)
         if dangles.length + invalid.length > 0:
             return _OPEN
-        rings += [(ring, is_inner) for ring in shapely.get_parts(polygons)]
+        rings += [(Polygon(ring.exterior), is_inner) for ring in shapely.get_parts(joined)]
     area: BaseGeometry = Polygon()
     for ring, is_inner in sorted(rings, key=lambda ring: -ring[0].area):
         cut = area.contains(ring.representative_point()) if is_inner is None else is_inner
-        ring = shapely.make_valid(Polygon(ring.exterior))
-        area = area.difference(ring) if cut else area.union(ring)
-    return area
+        area = area.difference(ring) if cut else area.union(ring) if area else ring
+    return area if rings else _OPEN

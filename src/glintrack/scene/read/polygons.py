@@ -122,12 +122,7 @@ def area_parts(shape: BaseGeometry) -> list[Polygon]:
 
 
 def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
-    """Kind of an area by OpenStreetMap's tags, and the reason why it is left out.
-
-    Returns
-    -------
-    ``building``, a kind of ground, or None for what is neither; and an empty text for an area that is used.
-    """
+    """Kind of an area by OpenStreetMap's tags, None if it is none, and why it is left out."""
     building = tags.get("building", "no")
     if any(f"{state}:building" in tags for state in _GONE) and building == "no":
         return "building", "demolished or proposed"

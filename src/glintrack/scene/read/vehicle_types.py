@@ -1,10 +1,6 @@
-"""Vehicle models by the name of a vehicle type: SUMO's vehicle classes and words of several languages.
+"""Vehicle models by the name of a vehicle type, by its words and SUMO's vehicle classes (vClass).
 
 Whole words are compared, never parts of them: a motorbike is no bike, and a trailer is no rail vehicle.
-
-References
-----------
-SUMO's vehicle classes: https://sumo.dlr.de/docs/Definition_of_Vehicles,_Vehicle_Types,_and_Routes.html
 """
 
 import itertools
@@ -39,12 +35,7 @@ _WORD = re.compile(r"[^\W\d_][a-zà-ÿ]+|[^\W\d_a-zà-ÿ]+")
 
 
 def model_of(vehicle_type: str) -> str | None:
-    """Name of the model for a vehicle type: its own, the one its name suggests, else a car.
-
-    Returns
-    -------
-    Name of a vehicle model, or None for what is no motor vehicle of the road.
-    """
+    """Name of the model for a vehicle type, else a car; None for what is no motor vehicle of the road."""
     if vehicle_type in VEHICLE_CLASSES:
         return vehicle_type
     words = [_singular(word) for word in _WORD.findall(vehicle_type)]

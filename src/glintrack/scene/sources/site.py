@@ -147,21 +147,8 @@ def read_traffic(
 ) -> tuple[Traffic, tuple[str, ...]]:
     """Read a design's traffic file in ENU, and the changes made to it, one sentence each.
 
-    Parameters
-    ----------
-    design
-        Table ``[scene]`` of a case with a traffic file.
-    extent_m
-        West, south, east, north of the traffic in ENU. [m]
-    place
-        Position of the city, by which longitudes and latitudes are projected; None refuses them.
-    origin_m
-        Position of ENU (0, 0) in the file's coordinates. [m]
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be read, or has no vehicle in the extent.
+    ``extent_m`` is west, south, east, north in ENU, and ``origin_m`` the position of ENU (0, 0) in the file's
+    coordinates. [m] Degrees are refused without a place, and so is a file without a vehicle in the extent.
     """
     path = resolve_file(str(design.traffic_file))
     x, y = origin_m

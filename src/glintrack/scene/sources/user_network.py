@@ -104,7 +104,7 @@ def _site(
         )
     place, more = place_of(design, location, centre, "network has no projection")
     degrees = place.longitude_latitude_deg
-    assumptions += _driving_side(design, network, None if more else degrees)
+    assumptions += (_driving_side(design, network, None if more else degrees),)
     for pair in (degrees, degrees[::-1]):  # a small network has the town's degrees as metres too
         if design.centre_m and all(abs(a - b) < _NEAR_DEG for a, b in zip(centre, pair, strict=True)):
             raise ValueError(
@@ -134,23 +134,18 @@ def _site(
     return Site(recording, place, extent, layout, traffic_origin_m=centre, assumptions=assumptions)
 
 
-def _driving_side(
-    design: SceneDesign, network: RoadNetwork, place_deg: tuple[float, float] | None
-) -> tuple[str, ...]:
-    """Sentence on the side of the road that traffic keeps to, and why; the network must be built for it."""
-    if design.left_hand is not None:
-        if design.left_hand != network.left_hand:
-            raise ValueError(
-                f"`scene.left_hand` must be that of the network, {str(network.left_hand).lower()}, got "
-                f"{str(design.left_hand).lower()} (build it by netconvert with --lefthand or without)"
-            )
-        return ()
+def _driving_side(design: SceneDesign, network: RoadNetwork, place_deg: tuple[float, float] | None) -> str:
+    """Sentence on the side of the road that traffic keeps to; refuse a key that differs from the network."""
     side, other = ("left", "right") if network.left_hand else ("right", "left")
+    if design.left_hand not in (None, network.left_hand):
+        raise ValueError(
+            f"`scene.left_hand` must be that of the network, whose traffic keeps {side}, got the other "
+            "(build it by netconvert with --lefthand or without)"
+        )
     if design.city == "osm":
-        return (f"traffic keeps {side}, as in the country (scene.left_hand)",)
-    if place_deg is not None and keeps_left(*place_deg) != network.left_hand:
-        return (f"traffic keeps {side}, as the network says, although it keeps {other} in the country",)
-    return (f"traffic keeps {side}, as the network says",)
+        return f"traffic keeps {side}, as in the country (scene.left_hand)"
+    differs = place_deg is not None and keeps_left(*place_deg) != network.left_hand
+    return f"traffic keeps {side}, as the network says" + f", although {other} in the country" * differs
 
 
 def busiest_place(network: RoadNetwork, width_m: float, height_m: float) -> tuple[float, float]:
