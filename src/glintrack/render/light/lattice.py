@@ -161,19 +161,19 @@ _MIN_PAST_LEAVES = 1e-6
 
 
 @nb.njit(cache=True, forceinline=True)
-def _in_space(seen, instance, material):
+def _in_space(role, sheets, instance, material):
     """Return True if a surface uses probes in space: trees, hedges, and every leaf card."""
-    if instance >= 0 and seen.role[instance] != AS_FACETS:
-        return seen.role[instance] == IN_SPACE
-    return material >= 0 and material < seen.sheets.size and seen.sheets[material]
+    if instance >= 0 and role[instance] != AS_FACETS:
+        return role[instance] == IN_SPACE
+    return material >= 0 and material < sheets.size and sheets[material]
 
 
 @nb.njit(cache=True, forceinline=True)
-def _sunk(seen, instance, px, py, pz):
+def _sunk(middle, instance, px, py, pz):
     """Move a point of a crown into it: its visible outside has leaves around."""
     if instance < 0:
         return px, py, pz
-    mx, my, mz = seen.middle[instance, 0] - px, seen.middle[instance, 1] - py, seen.middle[instance, 2] - pz
+    mx, my, mz = middle[instance, 0] - px, middle[instance, 1] - py, middle[instance, 2] - pz
     length = np.sqrt(mx * mx + my * my + mz * mz)
     step = min(_SUNK_M, length) / max(length, 1e-9)
     return px + step * mx, py + step * my, pz + step * mz
@@ -199,10 +199,10 @@ def add_wanted(rays, seen, where, known, counts, wanted, first_row, new_cells):
         p, n, instance = seen.point[ray], seen.normal[ray], seen.instance[ray]
         px, py, pz = float(p[0]), float(p[1]), float(p[2])
         nx, ny, nz = float(n[0]), float(n[1]), float(n[2])
-        volume = _in_space(seen, instance, seen.material[ray])
+        volume = _in_space(seen.role, seen.sheets, instance, seen.material[ray])
         kind = _kind(px, py, window, volume)
         if volume:
-            key = volume_key(*_sunk(seen, instance, px, py, pz), kind, scale)
+            key = volume_key(*_sunk(seen.middle, instance, px, py, pz), kind, scale)
         else:
             key = facet_cell(px, py, pz, nx, ny, nz, kind, scale)[0]
         slot = slot_of(cell_map.keys, key)
@@ -242,71 +242,75 @@ def space_cells(first, down, cells):
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def look_up(start, stop, rays, seen, where, known, heights, found, unknown):
-    """Look up the cells of surfaces, their places in these, and their sky view."""
+    """Look up the cells of surfaces, their places in these, and their sky view; mark the ``unknown`` ones.
+
+    The loop hands on single arrays, for the reason of `pixels.shade_pixels`.
+    """
+    (box, window, scale), (cell_map, cells, views, past_leaves) = where, known
+    point, normal, material, instances, role, body, sheets, transforms, middle = seen
+    cell, part, view, here = found
+    keys, numbers = cell_map
     for k in range(start, stop):
-        unknown[k] = not _look_up_one(rays[k], seen, where, known, heights, found)
+        i = rays[k]
+        m, instance = material[i], instances[i]
+        nx, ny, nz = float(normal[i, 0]), float(normal[i, 1]), float(normal[i, 2])
+        px, py, pz = float(point[i, 0]), float(point[i, 1]), float(point[i, 2])
+        cell[i], part[i, 0], part[i, 1], view[i], here[i] = OPEN, 0, 0, 1.0, 1.0
+        inside = box[0, 0] <= px <= box[1, 0] and box[0, 1] <= py <= box[1, 1]
+        if m < 0 or not inside or pz > box[1, 2]:
+            continue
+        if instance >= 0 and role[instance] >= BY_SIDES:  # by its own axes
+            at = np.int64(body[instance])
+            if at < 0:
+                continue
+            nx, ny, nz = _on_axes(transforms, instance, nx, ny, nz)
+            if role[instance] == BY_HALVES and pz > middle[instance, 2]:
+                at += CORNERS
+        elif _in_space(role, sheets, instance, m):
+            kind = _kind(px, py, window, True)
+            at = _number_of(keys, numbers, volume_key(*_sunk(middle, instance, px, py, pz), kind, scale))
+        else:
+            kind = _kind(px, py, window, False)
+            key, fx, fy = facet_cell(px, py, pz, nx, ny, nz, kind, scale)
+            part[i, 0], part[i, 1] = np.uint8(255 * fx + 0.5), np.uint8(255 * fy + 0.5)
+            at = _number_of(keys, numbers, key)
+            unknown[k] = at < 0
+            if at < 0:
+                continue
+            cell[i] = at
+            view[i], leaves = _blend(cells, at, part[i, 0], part[i, 1], views, past_leaves)
+            if kind == FACET and nz > _UPWARD and view[i] > _MIN_VIEW:
+                solids = view_of_solids(heights, px, py, pz, nx, ny, nz)
+                if solids >= 0:  # the map of heights and what leaves leave bring it to the very place
+                    here[i] = min(solids * np.float32(max(leaves, _MIN_PAST_LEAVES)) / view[i], _MAX_HERE)
+                    view[i] = here[i] * view[i]
+            continue
+        unknown[k] = at < 0
+        if at < 0:
+            continue
+        at += (1 if nx < 0 else 0) + (2 if ny < 0 else 0) + (4 if nz < 0 else 0)
+        level = nx * nx + nz * nz
+        part[i, 0] = np.uint8(255 * nx * nx / level + 0.5) if level > 1e-9 else 0
+        part[i, 1] = np.uint8(255 * ny * ny + 0.5)
+        cell[i] = SPACE - at
+        view[i] = _blend(cells, at, part[i, 0], part[i, 1], views, views)[0]
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _look_up_one(i, seen, where, known, heights, found):
-    """Look up a surface; return True if its cell is known."""
-    box, window, scale = where
-    cell_map, cells, views, past_leaves = known
-    cell, part, view, here = found.cell, found.part, found.sky_view, found.sky_here
-    m, instance = seen.material[i], seen.instance[i]
-    nx, ny, nz = float(seen.normal[i, 0]), float(seen.normal[i, 1]), float(seen.normal[i, 2])
-    px, py, pz = float(seen.point[i, 0]), float(seen.point[i, 1]), float(seen.point[i, 2])
-    cell[i], part[i, 0], part[i, 1], view[i], here[i] = OPEN, 0, 0, 1.0, 1.0
-    inside = box[0, 0] <= px <= box[1, 0] and box[0, 1] <= py <= box[1, 1]
-    if m < 0 or not inside or pz > box[1, 2]:
-        return True
-    if instance >= 0 and seen.role[instance] >= BY_SIDES:  # by its own axes
-        at = np.int64(seen.body[instance])
-        if at < 0:
-            return True
-        t = seen.transforms[instance]
-        bx = t[0, 0] * nx + t[1, 0] * ny + t[2, 0] * nz
-        by = t[0, 1] * nx + t[1, 1] * ny + t[2, 1] * nz
-        bz = t[0, 2] * nx + t[1, 2] * ny + t[2, 2] * nz
-        scaled = 1.0 / np.sqrt(bx * bx + by * by + bz * bz)
-        nx, ny, nz = bx * scaled, by * scaled, bz * scaled
-        if seen.role[instance] == BY_HALVES and pz > seen.middle[instance, 2]:
-            at += CORNERS
-    elif _in_space(seen, instance, m):
-        kind = _kind(px, py, window, True)
-        at = _number_of(cell_map, volume_key(*_sunk(seen, instance, px, py, pz), kind, scale))
-    else:
-        kind = _kind(px, py, window, False)
-        key, fx, fy = facet_cell(px, py, pz, nx, ny, nz, kind, scale)
-        part[i, 0], part[i, 1] = np.uint8(255 * fx + 0.5), np.uint8(255 * fy + 0.5)
-        at = _number_of(cell_map, key)
-        if at < 0:
-            return False
-        cell[i] = at
-        among, leaves = _blend(cells, at, part[i, 0], part[i, 1], views, past_leaves)
-        view[i] = among
-        if kind == FACET and nz > _UPWARD and among > _MIN_VIEW:
-            solids = view_of_solids(heights, px, py, pz, nx, ny, nz)
-            if solids >= 0:  # the map of heights and what leaves leave bring it to the very place
-                here[i] = min(solids * np.float32(max(leaves, _MIN_PAST_LEAVES)) / view[i], _MAX_HERE)
-                view[i] = here[i] * view[i]
-        return True
-    if at < 0:
-        return False
-    at += (1 if nx < 0 else 0) + (2 if ny < 0 else 0) + (4 if nz < 0 else 0)
-    level = nx * nx + nz * nz
-    part[i, 0] = np.uint8(255 * nx * nx / level + 0.5) if level > 1e-9 else 0
-    part[i, 1] = np.uint8(255 * ny * ny + 0.5)
-    cell[i] = SPACE - at
-    view[i] = _blend(cells, at, part[i, 0], part[i, 1], views, views)[0]
-    return True
+def _on_axes(transforms, instance, x, y, z):
+    """Components of a unit vector along the axes of an instance."""
+    bx = transforms[instance, 0, 0] * x + transforms[instance, 1, 0] * y + transforms[instance, 2, 0] * z
+    by = transforms[instance, 0, 1] * x + transforms[instance, 1, 1] * y + transforms[instance, 2, 1] * z
+    bz = transforms[instance, 0, 2] * x + transforms[instance, 1, 2] * y + transforms[instance, 2, 2] * z
+    scaled = 1.0 / np.sqrt(bx * bx + by * by + bz * bz)
+    return bx * scaled, by * scaled, bz * scaled
 
 
 @nb.njit(cache=True, forceinline=True)
-def _number_of(cell_map, key):
+def _number_of(keys, numbers, key):
     """Find the number of a key's cell; −1 for none."""
-    slot = slot_of(cell_map.keys, key)
-    return np.int64(cell_map.numbers[slot]) if cell_map.keys[slot] == key else np.int64(-1)
+    slot = slot_of(keys, key)
+    return np.int64(numbers[slot]) if keys[slot] == key else np.int64(-1)
 
 
 @nb.njit(cache=True, forceinline=True)
