@@ -174,6 +174,6 @@ def _shade_parts(
     rough = prefilter(hits, index, spectra.surfaces, light.sky_map, sun, spectra.looks)
     frame = ShadedFrame(hits, spectra.surfaces, light, rough, sun, mottle_lattice())
     for part in parts:
-        out = np.empty((len(part), 3, len(channels)), np.float32)
+        out = np.empty((len(part), 3, light.lit.shape[3]), np.float32)
         over_rows(shade_pixels, len(part), part, frame, out)
-        yield out.transpose(0, 2, 1)
+        yield out[:, :, : len(channels)].transpose(0, 2, 1)

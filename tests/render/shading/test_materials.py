@@ -15,8 +15,8 @@ from glintrack.render.shading.materials import (
     fresnel,
     masking,
     oren_nayar,
+    sample_disc,
     sample_facet,
-    sample_square,
     unpack_surfaces,
 )
 from glintrack.scene import load_materials
@@ -78,7 +78,7 @@ def test_samples_give_what_quadrature_gives(distribution):
         facet_lobe(distribution, h, cosine, l, alpha) * l
         for h, l in zip(half[:, 2], directions[:, 2], strict=True)
     ]
-    drawn = np.mean([sample_facet(distribution, *view, alpha, u, v)[3] for u, v in sample_square(4096)])
+    drawn = np.mean([sample_facet(distribution, *view, alpha, x, y)[3] for x, y in sample_disc(4096)])
     assert drawn == pytest.approx(np.array(lobe) @ solid_angle, rel=5e-3)
 
 

@@ -127,33 +127,32 @@ def light_probes(
         codes = np.unique(np.concatenate([hits.light_cell[some], hits.mirror_cell[some]]))
         space = SPACE - codes[codes <= SPACE]  # cells of either side
         rows = np.unique(hits.probe_cells[np.concatenate([codes[codes >= 0], space, space ^ 7])])
-    over_rows(_light, len(rows), rows, *known, by_patch, by_bounce, out, least=1024)
+    by_component = np.ascontiguousarray(by_patch.swapaxes(1, 2)), np.ascontiguousarray(by_bounce.T)
+    over_rows(_light, len(rows), rows, *known, *by_component, out, least=1024)
     return out
 
 
 @nb.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")
 def _light(start, stop, rows, facing, patches, bounced, view, by_patch, by_bounce, out):
     """Light some probes."""
-    components = by_bounce.shape[1]
+    components = by_bounce.shape[0]
     for p in rows[start:stop]:
-        sky, off, of_facing = out[p, :components], out[p, components : 2 * components], by_patch[facing[p]]
-        sky[:], off[:] = 0.0, 0.0
-        for b in range(patches.shape[1]):
-            part = np.float32(patches[p, b])
-            for e in range(components):
-                sky[e] += part * of_facing[b, e]
-        for j in range(bounced.shape[1]):
-            part = np.float32(bounced[p, j])
-            for e in range(components):
-                off[e] += part * by_bounce[j, e]
+        node = facing[p]
+        for e in range(components):
+            sky = off = np.float32(0.0)
+            for b in range(patches.shape[1]):
+                sky += np.float32(patches[p, b]) * by_patch[node, e, b]
+            for j in range(bounced.shape[1]):
+                off += np.float32(bounced[p, j]) * by_bounce[e, j]
+            out[p, e], out[p, components + e] = sky, off
         out[p, 2 * components] = np.float32(patches[p, 0]) / np.float32(255.0)
         out[p, 2 * components + 1] = 1.0 if view[p] >= 0 else 0.0
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _weights(where, behind, cells, lit):
+def _weights(place, behind, cells, lit):
     """Rows and weights of a cell's four probes; from behind those of the other side."""
-    code, fx, fy = where
+    code, fx, fy = place.cell, place.part_x, place.part_y
     if code <= SPACE:
         cell = SPACE - code
         if behind:
@@ -177,13 +176,13 @@ def _weights(where, behind, cells, lit):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def blend_cell(where, behind, here, off, cells, lit, around):
+def blend_cell(place, behind, here, off, cells, lit, around):
     """Fill ``around`` from a cell's four probes and return the open part of the cap about the sun.
 
     Light of the sky counts ``here`` times, that of surfaces ``off[0]`` times from the first probe and
     ``off[1]`` times from the others. Facets seen from behind get no light.
     """
-    (a, b, c, d), (w00, w10, w01, w11) = _weights(where, behind, cells, lit)
+    (a, b, c, d), (w00, w10, w01, w11) = _weights(place, behind, cells, lit)
     sky, half, last = np.float32(here), around.shape[0], lit.shape[1] - 1
     first, other = np.float32(off[0]), np.float32(off[1])
     v00, v10, v01, v11 = first * w00, other * w10, other * w01, other * w11
@@ -196,13 +195,13 @@ def blend_cell(where, behind, here, off, cells, lit, around):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def add_sky_of_body(where, node, probes, around):
+def add_sky_of_body(place, node, probes, around):
     """Add the sky of a vehicle's facet, by its own normal.
 
     v_b is a mean over the cell's probes, weighted with the light of the patch on each.
     """
     facing, patches, of_patch = probes.facing, probes.patches, probes.of_patch
-    (a, b, c, d), (w00, w10, w01, w11) = _weights(where, False, probes.cells, probes.lit)
+    (a, b, c, d), (w00, w10, w01, w11) = _weights(place, False, probes.cells, probes.lit)
     fa, fb, fc, fd = of_patch[facing[a]], of_patch[facing[b]], of_patch[facing[c]], of_patch[facing[d]]
     for patch in range(patches.shape[1]):
         one, two = w00 * fa[patch], w10 * fb[patch]
@@ -240,22 +239,18 @@ FINE_STEPS = 128  # between nodes of the airmass: the nearest is good to 2e-4 of
 @nb.njit(cache=True, fastmath=True, forceinline=True)
 def fill_air_row(lights, step, row, known_step, here, width):
     """Fill ``here[row]`` with the lights of a row through the air of a fine step of airmass."""
-    if known_step[row] == step:
-        return
-    known_step[row] = step
     low = step // FINE_STEPS
     part = np.float32((step - low * FINE_STEPS) / FINE_STEPS)
     high = min(low + 1, lights.shape[0] - 1)
-    for e in range(lights.shape[2]):
+    for e in range(0 if known_step[row] == step else lights.shape[2]):
         for x in range(width):
             under, over = lights[low, row, e, x], lights[high, row, e, x]
             here[row, e, x] = under + part * (over - under)
+    known_step[row] = step
 
 
 class Bases(NamedTuple):
-    """Light of diffuse bases through the air, and working arrays of `add_base`.
-
-    numba counts references to each array of a tuple that a function takes, so `pixels` hands on small tuples.
+    """Light of diffuse bases through the air, and working arrays of `pixels`.
 
     Parameters
     ----------
@@ -267,8 +262,6 @@ class Bases(NamedTuple):
         Light on a base: sun, surroundings, and each diffuse component.
     around
         Irradiance of each diffuse component on a facet.
-    total
-        Stokes radiance of one element by channel.
     """
 
     lit: Float[Array, "airmass material light channel"]
@@ -276,7 +269,22 @@ class Bases(NamedTuple):
     here: Float[Array, "row light channel"]
     base: Float[Array, "light"]
     around: Float[Array, "diffuse_component"]
-    total: Float[Array, "3 channel"]
+
+
+class Place(NamedTuple):
+    """Place of a surface between probes.
+
+    Parameters
+    ----------
+    cell, part_x, part_y, here, left
+        `Hits.light_cell`, `Hits.light_part`, `Hits.sky_here`, and `Hits.sky_left` as a share of 1.
+    """
+
+    cell: int
+    part_x: int
+    part_y: int
+    here: float
+    left: float
 
 
 class Probes(NamedTuple):
@@ -291,32 +299,6 @@ class Probes(NamedTuple):
     near_sun: Float[Array, "normal cap_and_ring diffuse_component"]
     irradiance: Float[Array, "normal diffuse_component"]
     followed: bool
-
-
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
-def add_base(hit, scale, enter, even, q, u, step, width, at_angle, leaf, bases, probes):
-    """Add the light of the base, and the transmission of a leaf from behind.
-
-    The base has ``scale``, its share of the element over π times the mottle. Its interface and grooves pass
-    ``enter`` of the sun's light and ``even`` of the sky's; the light that leaves is polarized by ``q`` and
-    ``u``. Return the result of `mirror_place`.
-    """
-    base, m = bases.base, hit.material
-    base[0] = 0.0
-    if hit.cos_sun > 0 and hit.sunlight > 0:
-        leave = interpolate_angles(at_angle, m, hit.cos_sun)[0]
-        base[0] = scale * enter * leave * hit.cos_sun * hit.sunlight
-    on_body = hit.cell <= SPACE and not leaf[m]
-    place = _set_diffuse(hit, scale * even, False, on_body, probes, base, bases.around)
-    fill_air_row(bases.lit, step, m, bases.step, bases.here, width)
-    _add_base_light(base, bases.here, m, q, u, width, bases.total)
-    if leaf[m]:
-        behind = m + leaf.shape[0]
-        base[0] = scale * -hit.cos_sun * hit.sunlight if hit.cos_sun < 0 else 0.0
-        _set_diffuse(hit, scale, True, False, probes, base, bases.around)
-        fill_air_row(bases.lit, step, behind, bases.step, bases.here, width)
-        _add_base_light(base, bases.here, behind, q, u, width, bases.total)
-    return place
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -345,61 +327,64 @@ def groove_factor(hit, sun, slope_rad):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _fill_irradiance(nx, ny, nz, irradiance, around):
-    """Irradiance of each diffuse component on a facet in the open."""
+def fill_irradiance(hit, behind, irradiance, around):
+    """Irradiance of each diffuse component on a facet in the open, or on its other side."""
+    nx, ny, nz = (-hit.nx, -hit.ny, -hit.nz) if behind else (hit.nx, hit.ny, hit.nz)
     if nz > 0.99999:
         for k in range(irradiance.shape[1]):
             around[k] = irradiance[LEVEL_NODE, k]
-        return
-    i, j, fx, fy = square_cell(nx, ny, nz, 1)
-    corner = i * NORMAL_NODES + j
-    after = corner + NORMAL_NODES
-    over, up = np.float32(fx), np.float32(fy)
-    w11 = over * up
-    w10, w01 = over - w11, up - w11
-    w00 = np.float32(1.0) - w10 - w01 - w11
-    for k in range(irradiance.shape[1]):
-        low = w00 * irradiance[corner, k] + w01 * irradiance[corner + 1, k]
-        around[k] = low + w10 * irradiance[after, k] + w11 * irradiance[after + 1, k]
+    else:
+        i, j, fx, fy = square_cell(nx, ny, nz, 1)
+        corner = i * NORMAL_NODES + j
+        after = corner + NORMAL_NODES
+        over, up = np.float32(fx), np.float32(fy)
+        w11 = over * up
+        w10, w01 = over - w11, up - w11
+        w00 = np.float32(1.0) - w10 - w01 - w11
+        for k in range(irradiance.shape[1]):
+            low = w00 * irradiance[corner, k] + w01 * irradiance[corner + 1, k]
+            around[k] = low + w10 * irradiance[after, k] + w11 * irradiance[after + 1, k]
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _set_diffuse(hit, scale, behind, on_body, probes, base, around):
-    """Set ``base[1:]``, light of surroundings and sky on a facet or its other side; return `mirror_place`."""
-    left, here = hit.sky_left, hit.sky_here
+def fill_around(hit, place, behind, on_body, cells, lit, around):
+    """Fill ``around`` from the probes and return the open part of the cap about the sun.
+
+    Facets ``on_body`` lack the sky.
+    """
     nz, view = -hit.nz if behind else hit.nz, 1.0 if behind else hit.sky_view
-    sky_part = 0.5 * (1.0 + nz) * view
-    if hit.cell != OPEN:
-        shaded = hit.cell >= 0 and hit.cos_sun > 0 and left == 1.0 and not behind
-        hidden = 1.0 - hit.sunlight if shaded else 0.0
-        off = surface_gain(here, sky_part / max(left, 1e-3))
-        others, by_sky = (off * tilt_gain(hit.nz, view), 0.0) if on_body else (off, float(here))
-        where = hit.cell, hit.part_x, hit.part_y
-        cap = blend_cell(where, behind, by_sky, (off, others), probes.cells, probes.lit, around)
-        node = node_of_normal(hit.nx, hit.ny, hit.nz)
-        if on_body:
-            add_sky_of_body(where, node, probes, around)
-        elif hidden > 0:
-            by_cap = np.float32(hidden * here * CAP_LOST * cap * cap)
-            by_ring = np.float32(hidden * here * RING_LOST * cap * cap * cap)
-            for e in range(around.shape[0]):
-                around[e] -= by_cap * probes.near_sun[node, 0, e] + by_ring * probes.near_sun[node, 1, e]
-        strength = np.float32(scale * left)
-        base[1] = 0.0 if probes.followed else scale * (1.0 - sky_part)
-        mirrored = mirror_place(around, left, sky_part, probes.followed)
-    else:
-        nx, ny = (-hit.nx, -hit.ny) if behind else (hit.nx, hit.ny)
-        _fill_irradiance(nx, ny, nz, probes.irradiance, around)
-        strength = np.float32(scale * view)
-        base[1] = scale * (1.0 - sky_part)
-        mirrored = view, 1.0
+    off = surface_gain(place.here, 0.5 * (1.0 + nz) * view / max(place.left, 1e-3))
+    others, by_sky = (off * tilt_gain(hit.nz, view), 0.0) if on_body else (off, float(place.here))
+    return blend_cell(place, behind, by_sky, (off, others), cells, lit, around)
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def take_near_sun(hit, cap, here, near_sun, around):
+    """Subtract the light near the sun that objects smaller than the lattice hide from a facet."""
+    node, hidden = node_of_normal(hit.nx, hit.ny, hit.nz), 1.0 - hit.sunlight
+    by_cap = np.float32(hidden * here * CAP_LOST * cap * cap)
+    by_ring = np.float32(hidden * here * RING_LOST * cap * cap * cap)
+    for e in range(around.shape[0]):
+        around[e] -= by_cap * near_sun[node, 0, e] + by_ring * near_sun[node, 1, e]
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def set_diffuse(hit, place, scale, behind, followed, base, around):
+    """Set ``base[1:]``, light of surroundings and sky on a facet or its other side; return `mirror_place`."""
+    nz, view = -hit.nz if behind else hit.nz, 1.0 if behind else hit.sky_view
+    sky_part, off, strength, mirrored = 0.5 * (1.0 + nz) * view, 1.0, np.float32(scale * view), (view, 1.0)
+    if place.cell != OPEN:
+        strength = np.float32(scale * place.left)
+        off = 0.0 if followed else 1.0
+        mirrored = mirror_place(around, place.left, sky_part, followed)
+    base[1] = off * scale * (1.0 - sky_part)
     for k in range(base.shape[0] - 2):
         base[2 + k] = strength * around[k]
     return mirrored
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _add_base_light(base, lights, row, q, u, width, total):
+def add_base_light(base, lights, row, q, u, width, total):
     """Add a base's light; ``q`` and ``u`` are its polarized parts, the same in every channel."""
     last = lights.shape[1] - 1
     for e in range(0, lights.shape[1], 4):  # four at a time: sums are read and written a quarter as often

@@ -43,21 +43,26 @@ _MIX_X, _MIX_Y, _MIX_Z = 40993.0, 79193.0, 15437.0  # spread the normals over th
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def gather_around(normal, optical, terms, look, rough, at, facet):
-    """Interpolate the table of rough reflection to a facet's normal, at each of the four looks around.
+def facet_slot(nx, ny, nz, optical, look, at):
+    """Slot of a facet's normal, class and look in `gather_around`, whose key is written; True if it is known.
 
-    The next row meets the same facets: ``facet`` holds some, with keys in ``at``. Return the facet's slot.
+    The next row meets the same facets.
     """
-    (nx, ny, nz), (row_low, _, column_low, _, rows, columns) = normal, look
-    first_row, gathered, soft = rough
+    row_low, _, column_low, _, _, columns = look
     place = float(row_low * columns + column_low)
     slot = int(abs(nx * _MIX_X + ny * _MIX_Y + nz * _MIX_Z) + optical * 11 + place * 5) & (CACHED_FACETS - 1)
     known = at[slot, 0] == optical and at[slot, 1] == place
-    if known and at[slot, 2] == nx and at[slot, 3] == ny and at[slot, 4] == nz:
-        return slot
+    known = known and at[slot, 2] == nx and at[slot, 3] == ny and at[slot, 4] == nz
     at[slot, 0], at[slot, 1], at[slot, 2], at[slot, 3], at[slot, 4] = optical, place, nx, ny, nz
-    stride = 2 if soft[optical] else 1
-    i, k, fx, fy = square_cell(nx, ny, nz, stride)
+    return slot, known
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def gather_around(slot, normal, optical, terms, look, soft, first_row, gathered, facet):
+    """Interpolate the table of rough reflection to the normal of a slot, at each of the four looks around."""
+    row_low, _, column_low, _, rows, columns = look
+    stride = 2 if soft else 1
+    i, k, fx, fy = square_cell(*normal, stride)
     w11 = np.float32(fx * fy)
     w10, w01 = np.float32(fx) - w11, np.float32(fy) - w11
     w00 = np.float32(1.0) - w10 - w01 - w11
@@ -66,13 +71,12 @@ def gather_around(normal, optical, terms, look, rough, at, facet):
     along = stride if fy > 0 else 0
     values = gathered.shape[1] * terms * min(columns, 2)  # rows of two looks side by side follow each other
     for near in range(2):
-        look = min(row_low + near, rows - 1) * columns + column_low
-        a, b = first_row[optical, corner, look], first_row[optical, corner + along, look]
-        c, d = first_row[optical, corner + across, look], first_row[optical, corner + across + along, look]
+        node = min(row_low + near, rows - 1) * columns + column_low
+        a, b = first_row[optical, corner, node], first_row[optical, corner + along, node]
+        c, d = first_row[optical, corner + across, node], first_row[optical, corner + across + along, node]
         for x in range(values):
             low = w00 * gathered[a, x] + w01 * gathered[b, x]
             facet[slot, near, 0, x] = low + w10 * gathered[c, x] + w11 * gathered[d, x]
-    return slot
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
@@ -137,21 +141,21 @@ def mirror_unit_light(hit, weight, optical, terms, fresnel, amounts, axis):
 
 
 @nb.njit(cache=True, forceinline=True)
-def mirror_base(there, mirrored, seen, step, width, bases, probes):
+def mirror_base(there, mirrored, seen, step, width, bases, probes, total):
     """Add the mirrored base, lit by sun, sky and surroundings.
 
-    ``mirrored`` are I, Q and U of unpolarized light 1 after the reflection. ``seen`` has the fields of `Hits`
-    for the mirrored surface of material ``there``: sun, sky, cell, both parts of the cell, here, and left.
+    ``mirrored`` are I, Q and U of unpolarized light 1 after the reflection. ``seen`` are `Hits.mirror_sun`,
+    `Hits.mirror_sky` and the place of the mirrored surface of material ``there``.
     """
-    sun, sky_view, cell, part_x, part_y, sky_here, left = seen
-    base, around, total, here = bases.base, bases.around, bases.total, bases.here
+    sun, sky_view, place = seen
+    base, around, here = bases.base, bases.around, bases.here
     base[0] = sun / math.pi
-    if cell != OPEN:
-        off = surface_gain(sky_here, sky_view)
-        blend_cell((cell, part_x, part_y), False, sky_here, (off, off), probes.cells, probes.lit, around)
+    if place.cell != OPEN:
+        off = surface_gain(place.here, sky_view)
+        blend_cell(place, False, place.here, (off, off), probes.cells, probes.lit, around)
         base[1] = 0.0 if probes.followed else (1.0 - sky_view) / math.pi
         for k in range(base.shape[0] - 2):
-            base[2 + k] = left * around[k] / math.pi
+            base[2 + k] = place.left * around[k] / math.pi
     else:
         base[1] = (1.0 - sky_view) / math.pi
         for k in range(base.shape[0] - 2):
@@ -227,20 +231,21 @@ def polarized_reflectance(scale, cos_sun, cos_view, cos_half):
 
 
 @nb.njit(cache=True, forceinline=True)
-def add_polarized(hit, surfaces, share, sun, axis, out):
-    """Add Q and U per unit of the sun's irradiance to the head of ``out``."""
+def add_polarized(hit, lobe, scale, fresnel, reference, share, sun, axis, out):
+    """Add Q and U per unit of the sun's irradiance to the head of ``out``.
+
+    ``lobe`` is that of `rough.add_glint`, and ``scale`` the base's own polarization.
+    """
     hx, hy, hz = sun[0] - hit.dx, sun[1] - hit.dy, sun[2] - hit.dz
     norm = 1.0 / math.sqrt(max(hx * hx + hy * hy + hz * hz, 1e-12))
     hx, hy, hz = hx * norm, hy * norm, hz * norm
-    m, cos_half = hit.material, -(hit.dx * hx + hit.dy * hy + hit.dz * hz)
-    k, mirrored = surfaces.optics[m], 0.0
-    if surfaces.weight[m] > 0:
-        for term in range(surfaces.terms[k]):
-            mirrored += surfaces.reference[k, term] * fresnel_term(surfaces.fresnel, k, term, cos_half)[1]
-        facing, view = hit.nx * hx + hit.ny * hy + hit.nz * hz, max(hit.cos_view, 1e-3)
-        wide = math.hypot(surfaces.alpha[k], SUN_HALF_VECTOR_RADIUS)
-        mirrored *= facet_lobe(surfaces.distribution[k], facing, view, hit.cos_sun, wide) * surfaces.weight[m]
-    scale = surfaces.polarized[m]
+    cos_half, mirrored = -(hit.dx * hx + hit.dy * hy + hit.dz * hz), 0.0
+    k, weight, alpha, distribution, terms = lobe
+    for term in range(terms):
+        mirrored += reference[k, term] * fresnel_term(fresnel, k, term, cos_half)[1]
+    facing, view = hit.nx * hx + hit.ny * hy + hit.nz * hz, max(hit.cos_view, 1e-3)
+    wide = math.hypot(alpha, SUN_HALF_VECTOR_RADIUS)
+    mirrored *= facet_lobe(distribution, facing, view, hit.cos_sun, wide) * weight
     whole = polarized_reflectance(scale, hit.cos_sun, hit.cos_view, cos_half) / math.pi
     strength = max(whole - mirrored, 0.0) * hit.cos_sun
     c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hx, hy, hz, axis)[3:]

@@ -138,7 +138,7 @@ def facet_lobe(distribution, cos_half, cos_view, cos_light, alpha):
 
 
 @nb.njit(cache=True, forceinline=True)
-def sample_facet(distribution, vx, vy, vz, alpha, u, v):
+def sample_facet(distribution, vx, vy, vz, alpha, x, y):
     """Draw a facet normal (local frame, z up), and the weight of its reflection toward the view.
 
     Parameters
@@ -149,38 +149,37 @@ def sample_facet(distribution, vx, vy, vz, alpha, u, v):
         View direction. [1]
     alpha
         Roughness. [1]
-    u, v
-        A point of the unit square.
+    x, y
+        A point of the unit disc.
 
     Returns
     -------
-    Normal x, y, z, and a weight. Its mean over the square, times Fresnel's matrix, is the light reflected
+    Normal x, y, z, and a weight. Its mean over the disc, times Fresnel's matrix, is the light reflected
     from a uniform unit hemisphere. GGX normals are drawn by visible area, the others by area.
 
     References
     ----------
     Heitz, "Sampling the GGX Distribution of Visible Normals", JCGT 7(4), 2018.
     """
-    radius, turn = math.sqrt(u), 2.0 * math.pi * v
-    cos_turn, sin_turn = math.cos(turn), math.sin(turn)
     if distribution == GGX:
         wx, wy, wz = alpha * vx, alpha * vy, vz
         norm = 1.0 / math.sqrt(wx * wx + wy * wy + wz * wz)
         wx, wy, wz = wx * norm, wy * norm, wz * norm
         across = math.sqrt(wx * wx + wy * wy)
         t1x, t1y = (-wy / across, wx / across) if across > 1e-7 else (1.0, 0.0)
-        a, s = radius * cos_turn, 0.5 * (1.0 + wz)
-        b = (1.0 - s) * math.sqrt(1.0 - a * a) + s * radius * sin_turn
-        c = math.sqrt(max(0.0, 1.0 - a * a - b * b))
-        hx = alpha * (a * t1x - b * wz * t1y + c * wx)
-        hy = alpha * (a * t1y + b * wz * t1x + c * wy)
+        s = 0.5 * (1.0 + wz)
+        b = (1.0 - s) * math.sqrt(1.0 - x * x) + s * y
+        c = math.sqrt(max(0.0, 1.0 - x * x - b * b))
+        hx = alpha * (x * t1x - b * wz * t1y + c * wx)
+        hy = alpha * (x * t1y + b * wz * t1x + c * wy)
         hz = max(1e-6, b * (wx * t1y - wy * t1x) + c * wz)
         norm = 1.0 / math.sqrt(hx * hx + hy * hy + hz * hz)
         hx, hy, hz, seen = hx * norm, hy * norm, hz * norm, 1.0
     else:
+        u = x * x + y * y
         tangent = alpha * math.sqrt(-math.log(1.0 - u))
         hz = 1.0 / math.sqrt(1.0 + tangent * tangent)
-        hx, hy = tangent * hz * cos_turn, tangent * hz * sin_turn
+        hx, hy = tangent * hz * x / math.sqrt(u), tangent * hz * y / math.sqrt(u)
         seen = masking(distribution, vz, alpha) / (vz * hz)
     cosine = vx * hx + vy * hy + vz * hz
     if cosine <= 0.0:
@@ -373,12 +372,13 @@ def _fresnel_over_cosine(n, k):
     return out
 
 
-def sample_square(count: int) -> Float[Array, "sample 2"]:
-    """Evenly spread points of the unit square: Hammersley's, shifted to the cells' centres."""
+def sample_disc(count: int) -> Float[Array, "sample 2"]:
+    """Evenly spread points of the unit disc: Hammersley's of the square, shifted to the cells' centres."""
     i = np.arange(count)
     bits = max(int(np.ceil(np.log2(count))), 1)
     reverse = sum(((i >> b) & 1) / 2.0 ** (b + 1) for b in range(bits))
-    return np.stack([(i + 0.5) / count, reverse + 0.5 / 2**bits], axis=1)
+    turn = 2 * np.pi * (reverse + 0.5 / 2**bits)
+    return np.sqrt((i + 0.5) / count)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
 
 
 @lru_cache(maxsize=256)
@@ -389,7 +389,7 @@ def _albedo(n: float, k: float, alpha: float, distribution: int) -> Float[Array,
     coarse = np.empty((_ALBEDO_COSINES, 2))
     # denser nodes toward grazing, with the largest curvature
     at = np.linspace(0, 1, _ALBEDO_COSINES) ** 2
-    over_rows(_sample_albedo, len(at), at, n, k, alpha, distribution, sample_square(_ALBEDO_SAMPLES), coarse)
+    over_rows(_sample_albedo, len(at), at, n, k, alpha, distribution, sample_disc(_ALBEDO_SAMPLES), coarse)
     return np.minimum([np.interp(COSINES, at, column) for column in coarse.T], 1.0)
 
 

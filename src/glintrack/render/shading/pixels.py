@@ -9,20 +9,28 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
+from glintrack.render.light.lattice import OPEN, SPACE, node_of_normal
 from glintrack.render.shading.diffuse import (
     FINE_STEPS,
     Bases,
+    Place,
     Probes,
-    add_base,
+    add_base_light,
+    add_sky_of_body,
     fill_air_row,
+    fill_around,
+    fill_irradiance,
     groove_factor,
     interpolate_angles,
+    set_diffuse,
+    take_near_sun,
 )
 from glintrack.render.shading.hits import Hits
 from glintrack.render.shading.interface import (
     CACHED_FACETS,
     add_gathered,
     add_polarized,
+    facet_slot,
     fill_sky_ray,
     gather_around,
     mirror_base,
@@ -51,7 +59,8 @@ def mottle_lattice() -> Float[Array, "cell cell"]:
 @nb.njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
 def _incidence(dx, dy, dz, nx, ny, nz, sun, axis):
     """Cosines toward lens and sun, and the turn from the plane of look and normal to the detector's axis."""
-    (sx, sy, sz), (ax, ay, az) = sun, axis
+    sx, sy, sz = np.float32(sun[0]), np.float32(sun[1]), np.float32(sun[2])
+    ax, ay, az = np.float32(axis[0]), np.float32(axis[1]), np.float32(axis[2])
     vx, vy, vz = -dx, -dy, -dz
     view = vx * nx + vy * ny + vz * nz
     # of the s axis n × v on the detector's, and across it (see `stokes.axis_turn`)
@@ -120,18 +129,6 @@ class ShadedFrame(NamedTuple):
     lattice: Float[Array, "cell cell"]
 
 
-class Interfaces(NamedTuple):
-    """Tables of interfaces: see `MaterialTables`, `Light` and `PrefilteredReflection`."""
-
-    fresnel: Float[Array, "optics term cosine 3"]
-    reference: Float[Array, "optics term"]
-    sky_map: Float[Array, "disc disc sky_component 3"]
-    mirrored: Float[Array, "airmass group component channel"]
-    first: Int[Array, "optics normal look"]
-    gathered: Float[Array, "row value"]
-    soft: Int[Array, "optics"]
-
-
 @nb.njit(cache=True, forceinline=True)
 def _scratch(frame):
     light, gathered = frame.light, frame.rough.gathered
@@ -156,27 +153,15 @@ def _bases(lit, components):
         np.empty(lit.shape[1:], np.float32),
         np.zeros(lit.shape[2], np.float32),
         np.empty(components, np.float32),
-        np.empty((3, lit.shape[3]), np.float32),
     )
 
 
 @nb.njit(cache=True, forceinline=True)
-def _parts(frame):
-    return frame.rays, frame.surfaces, frame.light, frame.sun, frame.rays.detector_axis
-
-
-@nb.njit(cache=True, forceinline=True)
-def _tables(frame):
-    rays, surfaces, light, rough = frame.rays, frame.surfaces, frame.light, frame.rough
-    probes = Probes(
+def _probes(rays, light):
+    return Probes(
         rays.probe_cells, rays.probe_facing, rays.probe_patches, light.probes, light.of_patch, light.by_patch,
         light.near_sun, light.irradiance, light.followed,
     )  # fmt: skip
-    interfaces = Interfaces(
-        surfaces.fresnel, surfaces.reference, light.sky_map, light.mirrored, rough.first, rough.gathered,
-        rough.soft,
-    )  # fmt: skip
-    return probes, interfaces
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -188,120 +173,155 @@ def _between_looks(looks, row, column):
 
 
 @nb.njit(cache=True, forceinline=True)
-def _mirrored_surface(rays, ray):
-    """Fields of `Hits` for the surface that a ray's mirror image shows, without its material."""
-    cell, part = rays.mirror_cell[ray], rays.mirror_part
-    left, here = rays.mirror_left[ray] / 255.0, rays.mirror_here[ray]
-    return rays.mirror_sun[ray], rays.mirror_sky[ray], cell, part[ray, 0], part[ray, 1], here, left
+def _air_step(down, light):
+    """Fine step of airmass of a direction of look with ``down`` as its upward component."""
+    airmass = -1.0 / min(float(down), -1e-6)
+    node = min(max((airmass - light.airmass_start) / light.airmass_step, 0.0), light.lit.shape[0] - 2.0)
+    return int(node * FINE_STEPS + 0.5)
+
+
+@nb.njit(cache=True, forceinline=True)
+def _place(ray, cell, part, here, left):
+    return Place(cell[ray], part[ray, 0], part[ray, 1], here[ray], left[ray] / 255.0)
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def shade_pixels(start, stop, index, frame, out):
-    """Fill ``out`` (pixel, 3, channel) for rows of ``index``."""
-    rays, surfaces, light, sun, axis = _parts(frame)
-    probes, interfaces = _tables(frame)
-    scratch, bases = _scratch(frame), _bases(light.lit, light.irradiance.shape[1])
-    materials, at_angle, grid, looks = rays.material, surfaces.at_angle, light.grid, frame.rough.grid
-    plain, own, total = scratch.plain, scratch.own, bases.total
-    airmasses, columns, width = light.lit.shape[0] - 1, rays.columns, light.lit.shape[3]
-    block = 2 + light.sky_map.shape[2]
-    toward_sun = np.float32(sun[0]), np.float32(sun[1]), np.float32(sun[2])
-    right = np.float32(axis[0]), np.float32(axis[1]), np.float32(axis[2])
-    for j in range(start, stop):
-        element = index[j]
-        row = element // columns
-        column = element - row * columns
-        begin, end = rays.first[element], rays.first[element + 1]
-        _clear(plain, block, 3)
-        _clear(total, 3, width)
-        step, ground = 0, 0.0
-        for ray in range(begin, end):
-            ground += rays.weight[ray] if materials[ray] >= 0 else 0.0
-        if ground > 0:
-            airmass = -1.0 / min(float(rays.look[element, 2]), -1e-6)
-            node = min(max((airmass - light.airmass_start) / light.airmass_step, 0.0), airmasses - 1.0)
-            step = int(node * FINE_STEPS + 0.5)
-            where = grid.row_low[row], grid.row_part[row], grid.column_low[column], grid.column_part[column]
-            set_path(where, light.path, ground, width, total)
-        look = _between_looks(looks, row, column)
-        for ray in range(begin, end):
-            m, share = int(materials[ray]), float(rays.weight[ray])
-            dx, dy, dz = rays.look[element, 0], rays.look[element, 1], rays.look[element, 2]
+    """Fill ``out`` (pixel, 3, channel) for rows of ``index``.
+
+    numba counts references to each array of a tuple that a function takes: the loops hand on single arrays.
+    """
+    samples = 0
+    for element in index[start:stop]:
+        samples += frame.rays.first[element + 1] - frame.rays.first[element]
+    bases, mirrored = _bases(frame.light.lit, frame.light.irradiance.shape[1]), np.empty((samples, 2))
+    _shade_bases(index[start:stop], frame, bases, mirrored, out[start:stop])
+    _add_interfaces(index[start:stop], frame, bases, mirrored, out[start:stop])
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _shade_bases(index, frame, bases, mirrored, out):
+    """Fill ``out`` with path radiance and bases, and ``mirrored`` with the `mirror_place` of each sample."""
+    rays, surfaces, light, sun, lattice = frame.rays, frame.surfaces, frame.light, frame.sun, frame.lattice
+    probes, axis, grid, at_angle = _probes(rays, light), rays.detector_axis, light.grid, surfaces.at_angle
+    cells, probes_lit, irradiance, near_sun = probes.cells, probes.lit, probes.irradiance, probes.near_sun
+    lit, lit_step, lit_here, base, around = bases
+    leaf, width, sample = surfaces.leaf, out.shape[2], -1
+    for j in range(len(index)):
+        element, total, ground = index[j], out[j], 0.0
+        for ray in range(rays.first[element], rays.first[element + 1]):
+            ground += rays.weight[ray] if rays.material[ray] >= 0 else 0.0
+        row = element // rays.columns
+        column = element - row * rays.columns
+        where = grid.row_low[row], grid.row_part[row], grid.column_low[column], grid.column_part[column]
+        set_path(where, light.path, ground, width, total)
+        dx, dy, dz = rays.look[element, 0], rays.look[element, 1], rays.look[element, 2]
+        step = _air_step(dz, light)
+        for ray in range(rays.first[element], rays.first[element + 1]):
+            m, sample = int(rays.material[ray]), sample + 1
             if m < 0:
-                fill_sky_ray(dx, dy, dz, axis, light.sky_map, share, scratch.radiance, own)
-                mirrored_here = scratch.mirrored_here
-                fill_air_row(
-                    light.mirrored, airmasses * FINE_STEPS, 0, scratch.mirrored_step, mirrored_here, width
-                )
-                _add_mirrored_light(own, block, mirrored_here, 0, width, total)
                 continue
             nx, ny, nz = rays.normal[ray, 0], rays.normal[ray, 1], rays.normal[ray, 2]
-            view, sunward, turn_c, turn_s = _incidence(dx, dy, dz, nx, ny, nz, toward_sun, right)
+            view, sunward, turn_c, turn_s = _incidence(dx, dy, dz, nx, ny, nz, sun, axis)
+            sunlight, sky_view = float(rays.sun_visible[ray]), float(rays.sky_view[ray])
+            hit = Hit(dx, dy, dz, nx, ny, nz, view, sunward, sunlight, sky_view, m)
+            place = _place(ray, rays.light_cell, rays.light_part, rays.sky_here, rays.sky_left)
             contrast = np.float32(surfaces.mottle[m]) if rays.vehicle_id[ray] < 0 else _ZERO
             px, py, pz = rays.point[ray, 0], rays.point[ray, 1], rays.point[ray, 2]
-            sunlight, sky_view = float(rays.sun_visible[ray]), float(rays.sky_view[ray])
-            cell, part_x, part_y = rays.light_cell[ray], rays.light_part[ray, 0], rays.light_part[ray, 1]
-            here, left = rays.sky_here[ray], rays.sky_left[ray] / 255.0
-            hit = Hit(
-                dx, dy, dz, nx, ny, nz, view, sunward, sunlight, sky_view, m, cell, part_x, part_y, here, left
-            )
-            scale = share / math.pi * _mottle(px, py, pz, contrast, frame.lattice)
-            enter, even, coat, degree = interpolate_angles(at_angle, m, view)
+            scale = float(rays.weight[ray]) / math.pi * _mottle(px, py, pz, contrast, lattice)
+            enter, even, _, degree = interpolate_angles(at_angle, m, view)
             enter *= groove_factor(hit, sun, surfaces.groove[m])
             q, u = -degree * turn_c, degree * turn_s
-            place = add_base(
-                hit, scale, enter, even, q, u, step, width, at_angle, surfaces.leaf, bases, probes
-            )
+            base[0], on_body = 0.0, place.cell <= SPACE and not leaf[m]
+            if sunward > 0 and sunlight > 0:
+                leave = interpolate_angles(at_angle, m, sunward)[0]
+                base[0] = scale * enter * leave * sunward * sunlight
+            for behind in range(2 if leaf[m] else 1):
+                if place.cell == OPEN:
+                    fill_irradiance(hit, behind, irradiance, around)
+                else:
+                    cap = fill_around(hit, place, behind, on_body, cells, probes_lit, around)
+                    if on_body:
+                        add_sky_of_body(place, node_of_normal(nx, ny, nz), probes, around)
+                    elif place.cell >= 0 and place.left == 1.0 and sunward > 0 and not behind:
+                        take_near_sun(hit, cap, place.here, near_sun, around)
+                part = scale if behind else scale * even
+                seen = set_diffuse(hit, place, part, behind, probes.followed, base, around)
+                if behind:
+                    base[0] = scale * -sunward * sunlight if sunward < 0 else 0.0
+                else:
+                    mirrored[sample, 0], mirrored[sample, 1] = seen
+                lit_row = m + behind * leaf.shape[0]
+                fill_air_row(lit, step, lit_row, lit_step, lit_here, width)
+                add_base_light(base, lit_here, lit_row, q, u, width, total)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _add_interfaces(index, frame, bases, mirrored, out):
+    """Add mirrored light to ``out``: by way of ``plain``, or directly for terms with spectra of their own."""
+    rays, surfaces, light, rough, sun = frame.rays, frame.surfaces, frame.light, frame.rough, frame.sun
+    probes, scratch, axis = _probes(rays, light), _scratch(frame), rays.detector_axis
+    fresnel, reference, sky_map, first = surfaces.fresnel, surfaces.reference, light.sky_map, rays.first
+    first_row, gathered, soft, lights = rough.first, rough.gathered, rough.soft, light.mirrored
+    radiance, plain, own, step_of, here, at, facet, mixed = scratch
+    skies, width, sample = sky_map.shape[2], out.shape[2], -1
+    block, space = 2 + skies, (lights.shape[0] - 1) * FINE_STEPS
+    for j in range(len(index)):
+        element, total, ground = index[j], out[j], False
+        _clear(plain, block, 3)
+        dx, dy, dz = rays.look[element, 0], rays.look[element, 1], rays.look[element, 2]
+        step = _air_step(dz, light)
+        row = element // rays.columns
+        look = _between_looks(rough.grid, row, element - row * rays.columns)
+        for ray in range(first[element], first[element + 1]):
+            m, share, sample = int(rays.material[ray]), float(rays.weight[ray]), sample + 1
+            if m < 0:
+                fill_sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own)
+                fill_air_row(lights, space, 0, step_of, here, width)
+                _add_mirrored_light(own, block, here, 0, width, total)
+                continue
+            ground = True
+            nx, ny, nz = rays.normal[ray, 0], rays.normal[ray, 1], rays.normal[ray, 2]
+            view, sunward, _, _ = _incidence(dx, dy, dz, nx, ny, nz, sun, axis)
+            sunlight, k = float(rays.sun_visible[ray]), surfaces.optics[m]
+            hit = Hit(dx, dy, dz, nx, ny, nz, view, sunward, sunlight, 0.0, m)
+            alpha, terms, group = surfaces.alpha[k], surfaces.terms[k], light.group[k]
+            lobe = k, surfaces.weight[m], alpha, surfaces.distribution[k], terms
             if surfaces.polarized[m] > 0 and sunward > 0 and sunlight > 0:
-                add_polarized(hit, surfaces, share, sun, axis, plain)
-            weight, k = surfaces.weight[m] * share, surfaces.optics[m]
+                add_polarized(hit, lobe, surfaces.polarized[m], fresnel, reference, share, sun, axis, plain)
+            weight, there = surfaces.weight[m] * share, int(rays.mirror_material[ray])
             if weight == 0.0:
                 continue
-            there, alpha, terms = int(rays.mirror_material[ray]), surfaces.alpha[k], surfaces.terms[k]
-            lobe = k, weight * hit.sunlight if sunward > 0 else 0.0, alpha, surfaces.distribution[k], terms
-            shown = _add_interface(
-                hit, place, there >= 0, lobe, light.group[k], look, (weight, share * coat), step,
-                width, sun, axis, interfaces, scratch, total,
-            )  # fmt: skip
+            glint, shown = weight * sunlight if sunward > 0 else 0.0, (0.0, 0.0, 0.0)
+            target = own if group > 0 else plain
+            _clear(own, terms * block if group > 0 else 0, 3)
+            if alpha >= MIRROR_ROUGHNESS:
+                slot, known = facet_slot(nx, ny, nz, k, look, at)
+                if not known:
+                    gather_around(slot, (nx, ny, nz), k, terms, look, soft[k], first_row, gathered, facet)
+                coat = share * interpolate_angles(surfaces.at_angle, m, view)[2]
+                others = 0.0 if there >= 0 else mirrored[sample, 1]
+                mixing = coat, (mirrored[sample, 0], others), sunlight if glint > 0 else 0.0
+                amounts = reference[k]
+                shown = add_gathered(mixing, terms, amounts, skies, look, facet, slot, mixed, target)
+                glint = 0.0 if soft[k] else glint
+            elif there >= 0:
+                shown = mirror_unit_light(hit, weight, k, terms, fresnel, reference, axis)
+            else:
+                mirror_sky(hit, weight, k, terms, fresnel, axis, sky_map, radiance, target)
+            if glint > 0:
+                lobe = k, glint, alpha, surfaces.distribution[k], terms
+                add_glint(hit, sun, lobe, fresnel, axis, block, target)
+            if group > 0:
+                fill_air_row(lights, step, group, step_of, here, width)
+                _add_mirrored_light(own, terms * block, here, group, width, total)
             if there >= 0:
-                mirror_base(there, shown, _mirrored_surface(rays, ray), step, width, bases, probes)
-        if ground > 0:
-            fill_air_row(light.mirrored, step, 0, scratch.mirrored_step, scratch.mirrored_here, width)
-            _add_mirrored_light(plain, block, scratch.mirrored_here, 0, width, total)
-        for s in range(3):
-            for channel in range(out.shape[2]):
-                out[j, s, channel] = total[s, channel]
-
-
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _add_interface(
-    hit, place, mirrors, lobe, group, look, weights, step, width, sun, axis, tables, scratch, total
-):
-    """Add mirrored light: to ``plain``, or to ``total`` for an interface with spectra of its terms.
-
-    Return I, Q and U of unpolarized light 1 off mirrored surfaces.
-    """
-    (k, glint, alpha, distribution, terms), (weight, coat), skies = lobe, weights, tables.sky_map.shape[2]
-    block, shown = 2 + skies, (0.0, 0.0, 0.0)
-    target = scratch.own if group > 0 else scratch.plain
-    _clear(scratch.own, terms * block if group > 0 else 0, 3)
-    if alpha >= MIRROR_ROUGHNESS:
-        normal, rough = (hit.nx, hit.ny, hit.nz), (tables.first, tables.gathered, tables.soft)
-        slot = gather_around(normal, k, terms, look, rough, scratch.at, scratch.facet)
-        around = coat, (place[0], 0.0 if mirrors else place[1]), hit.sunlight if glint > 0 else 0.0
-        facet, mixed = scratch.facet, scratch.mixed
-        shown = add_gathered(around, terms, tables.reference[k], skies, look, facet, slot, mixed, target)
-        glint = 0.0 if tables.soft[k] else glint
-    elif mirrors:
-        shown = mirror_unit_light(hit, weight, k, terms, tables.fresnel, tables.reference, axis)
-    else:
-        mirror_sky(hit, weight, k, terms, tables.fresnel, axis, tables.sky_map, scratch.radiance, target)
-    if glint > 0:
-        add_glint(hit, sun, (k, glint, alpha, distribution, terms), tables.fresnel, axis, block, target)
-    if group > 0:
-        fill_air_row(tables.mirrored, step, group, scratch.mirrored_step, scratch.mirrored_here, width)
-        _add_mirrored_light(scratch.own, terms * block, scratch.mirrored_here, group, width, total)
-    return shown
+                place = _place(ray, rays.mirror_cell, rays.mirror_part, rays.mirror_here, rays.mirror_left)
+                seen = rays.mirror_sun[ray], rays.mirror_sky[ray], place
+                mirror_base(there, shown, seen, step, width, bases, probes, total)
+        if ground:
+            fill_air_row(lights, step, 0, step_of, here, width)
+            _add_mirrored_light(plain, block, here, 0, width, total)
 
 
 @nb.njit(cache=True, forceinline=True)

@@ -23,8 +23,8 @@ from glintrack.render.shading.materials import (
     between_cosines,
     facet_lobe,
     over_cosine,
+    sample_disc,
     sample_facet,
-    sample_square,
 )
 from glintrack.render.shading.projection import FrameGrid
 from glintrack.stokes import axis_turn, rotate_qu
@@ -52,8 +52,6 @@ class Hit(NamedTuple):
         Transmittance of the sun's light, and sky view factor. [1]
     material
         Index of the material.
-    cell, part_x, part_y, sky_here, sky_left
-        `Hits.light_cell`, `Hits.light_part`, `Hits.sky_here`, and `Hits.sky_left` as a share of 1.
     """
 
     dx: float
@@ -67,11 +65,6 @@ class Hit(NamedTuple):
     sunlight: float = 0.0
     sky_view: float = 0.0
     material: int = 0
-    cell: int = 0
-    part_x: int = 0
-    part_y: int = 0
-    sky_here: float = 0.0
-    sky_left: float = 0.0
 
 
 class PrefilteredReflection(NamedTuple):
@@ -136,7 +129,7 @@ def prefilter(
     counts = np.array([next(n for least, n in _SAMPLES if alpha >= least) for alpha in surfaces.alpha])
     points = np.zeros((len(counts), int(counts.max(initial=0)), 2))  # from which facets are drawn
     for own, count in zip(points, counts.tolist(), strict=True):
-        own[:count] = sample_square(count)
+        own[:count] = sample_disc(count)
     over_rows(_gather, len(wanted), *nodes, *frame, points, counts, soft, gathered)
     return PrefilteredReflection(grid, first_row, gathered, soft)
 
@@ -176,7 +169,7 @@ def _gather(
     """
     skies, last, fresnel = sky_map.shape[2], sky_map.shape[0] - 1, surfaces.fresnel
     block = SKY + skies
-    sums, radiance = np.empty((surfaces.terms.max() * block, 3)), np.empty((skies, 3), np.float32)
+    sums, radiance = np.empty((surfaces.terms.max() * block, 3)), sky_map[0, 0]
     for row in range(start, stop):
         optical = optics[row]
         terms, first = surfaces.terms[optical], firsts[row]
@@ -207,7 +200,7 @@ def _gather(
             if rz > 0:
                 scale = 1.0 / (1.0 + rz)
                 cell, column = (rx * scale + 1.0) * 0.5 * last + 0.5, (ry * scale + 1.0) * 0.5 * last + 0.5
-                radiance[:] = sky_map[int(min(max(cell, 0.0), last)), int(min(max(column, 0.0), last))]
+                radiance = sky_map[int(min(max(cell, 0.0), last)), int(min(max(column, 0.0), last))]
                 fx, fy, fz = north_axis(rx, ry, rz)
                 c_in, s_in = axis_turn(fx, fy, fz, sx, sy, sz, -rx, -ry, -rz)
             for term in range(terms):
@@ -228,7 +221,7 @@ def _gather(
             even_albedo = over_cosine(surfaces.albedo, optical, vx * nx + vy * ny + vz * nz)
             # the others are divided by the albedo that the same facets give
             weight = max(albedo, 1e-12) / max(even_albedo, 1e-9)
-            ray = Hit(-vx, -vy, -vz, nx, ny, nz, 0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0.0, 0.0)
+            ray = Hit(-vx, -vy, -vz, nx, ny, nz, 0.0, 0.0, 0.0, 0.0, 0)
             add_glint(ray, sun, (optical, weight, alpha, distribution, terms), fresnel, axis, block, sums)
         for term in range(terms):
             for k in range(block):
