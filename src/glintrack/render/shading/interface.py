@@ -62,7 +62,7 @@ def gather_around(slot, normal, optical, terms, look, soft, first_row, gathered,
     """Interpolate the table of rough reflection to the normal of a slot, at each of the four looks around."""
     row_low, _, column_low, _, rows, columns = look
     stride = 2 if soft else 1
-    i, k, fx, fy = square_cell(*normal, stride)
+    i, k, fx, fy = square_cell(normal[0], normal[1], normal[2], stride)
     w11 = np.float32(fx * fy)
     w10, w01 = np.float32(fx) - w11, np.float32(fy) - w11
     w00 = np.float32(1.0) - w10 - w01 - w11

@@ -199,7 +199,7 @@ def shade_pixels(start, stop, index, frame, out):
     _add_interfaces(index[start:stop], frame, bases, mirrored, out[start:stop])
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _shade_bases(index, frame, bases, mirrored, out):
     """Fill ``out`` with path radiance and bases, and ``mirrored`` with the `mirror_place` of each sample."""
     rays, surfaces, light, sun, lattice = frame.rays, frame.surfaces, frame.light, frame.sun, frame.lattice
@@ -256,7 +256,7 @@ def _shade_bases(index, frame, bases, mirrored, out):
                 add_base_light(base, lit_here, lit_row, q, u, width, total)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _add_interfaces(index, frame, bases, mirrored, out):
     """Add mirrored light to ``out``: by way of ``plain``, or directly for terms with spectra of their own."""
     rays, surfaces, light, rough, sun = frame.rays, frame.surfaces, frame.light, frame.rough, frame.sun
