@@ -272,13 +272,7 @@ class Bases(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Place of a surface between probes.
-
-    Parameters
-    ----------
-    cell, part_x, part_y, here, left
-        `Hits.light_cell`, `Hits.light_part`, `Hits.sky_here`, and `Hits.sky_left` as a share of 1.
-    """
+    """Place between probes: `Hits.light_cell`, `light_part`, `sky_here`, and `sky_left` as a share of 1."""
 
     cell: int
     part_x: int
@@ -348,10 +342,7 @@ def fill_irradiance(hit, behind, irradiance, around):
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
 def fill_around(hit, place, behind, on_body, cells, lit, around):
-    """Fill ``around`` from the probes and return the open part of the cap about the sun.
-
-    Facets ``on_body`` lack the sky.
-    """
+    """Fill ``around``, without the sky if ``on_body``, and return the open part of the cap about the sun."""
     nz, view = -hit.nz if behind else hit.nz, 1.0 if behind else hit.sky_view
     off = surface_gain(place.here, 0.5 * (1.0 + nz) * view / max(place.left, 1e-3))
     others, by_sky = (off * tilt_gain(hit.nz, view), 0.0) if on_body else (off, float(place.here))
