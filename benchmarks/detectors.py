@@ -154,7 +154,7 @@ def f1(recording: Recording, found: Found, least_nat: float = LIKELY_NAT) -> flo
     for one, truth in zip(found, recording.truths, strict=True):
         ratio = one.log_likelihood_ratio
         kept = np.ones(len(one), bool) if ratio is None else ratio >= least_nat
-        wanted = metrics.is_moving(truth) & metrics.is_in_window(truth, recording.extent_m)
+        wanted = metrics.is_moving(truth) & metrics.is_in_area(truth, recording.extent_m)
         wanted &= metrics.is_visible(truth)
         place = np.stack([truth["east_m"].values, truth["north_m"].values], axis=1)
         scored = score_detections(one.position[kept], one.contrast[kept], place, truth["length_m"].values)

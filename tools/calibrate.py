@@ -143,7 +143,7 @@ def label_peaks(seen: SearchedMosaic, pose, truth, extent_m) -> Peaks:
         return Peaks(seen.peaks.features, np.empty(0), np.empty((0, 2)))
     vehicle_m = np.stack([truth["east_m"].values, truth["north_m"].values], axis=-1)
     wanted = np.asarray(
-        metrics.is_in_window(truth, extent_m) & metrics.is_moving(truth) & metrics.is_visible(truth)
+        metrics.is_in_area(truth, extent_m) & metrics.is_moving(truth) & metrics.is_visible(truth)
     )
     reach_m = np.maximum(4.0, truth["length_m"].values / 2 + 1)
     off_m = pose.position[:2] - seen.place_m

@@ -116,8 +116,8 @@ def simulate(
         interrupted = True
     finally:
         frames.close()
-    seconds = clock.seconds, render_clock.seconds
-    return collect(case.name, case.seed, times_s, loops, truths, exposures_ms, *seconds, interrupted)
+    done = truths, exposures_ms, clock.seconds, render_clock.seconds, interrupted
+    return collect(case, scenario.area, times_s, loops, *done)
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class RenderedFrame:
     ----------
     time_s, pose
         Time and true pose. [s]
-    hits, truth, light
+    hits, truth, area, light
         As in `results.epoch.TrueFrame`.
     """
 
@@ -163,6 +163,7 @@ class RenderedFrame:
     pose: Pose
     hits: Hits
     truth: xr.Dataset
+    area: metrics.Area
     light: Radiance
 
 
@@ -178,11 +179,12 @@ def _render(
     traced = observe() if hits_cache is None else hits_cache.get(time_s, observe)
     clock.lap("trace")
     truth = with_visibility(city.truth(time_s), snapshot.vehicle_id[snapshot.fixed :], traced.seen)
+    truth, area = scenario.area.mark(truth, city.terrain, scenario.sensor.camera, pose)
     clock.lap("truth")
     light = keep_frames(observer.radiance(traced.hits))
     light(channels)
     clock.lap("shade")
-    return RenderedFrame(time_s, pose, traced.hits, truth, light)
+    return RenderedFrame(time_s, pose, traced.hits, truth, area, light)
 
 
 def _expose(
@@ -201,6 +203,7 @@ def _expose(
         light=rendered.light,
         planes=light_on_elements(light.values, sensor),
         truth=rendered.truth,
+        area=rendered.area,
     )
 
 
@@ -267,11 +270,11 @@ def _process_frame(
         state, queries = track.step(loop.state, detections, spectra, columns)  # the only feedback
         tracks = track.report(state)  # without a lag; `Loop.advance` may report them later
         clock.lap("track")
-        score = metrics.score_epoch(tracks, truth, city.extent_m, time_s=time_s)
+        score = metrics.score_epoch(tracks, truth, true_frame.area, time_s=time_s)
         clock.lap("score")
         quality = _assess_quality(run, true_frame, image, served, spectra) if case.output.quality else None
         clock.lap("quality")
-        known = truth, city.extent_m
+        known = truth, true_frame.area
         advanced[channel] = loop.advance(state, queries, tracks, score, known, served, image, quality)
         if run.callback is not None:
             outputs = {"image": image, "served": served, "spectra": spectra, "tracks": tracks, "score": score}

@@ -130,7 +130,7 @@ def test_bad_input_is_one_sentence(three_cars, monkeypatch):
         case(bound={"false_per_frame": 0.0})
     monkeypatch.setattr("tests.conftest.ASPHALT_SPEED_M_S", 0.0)
     with pytest.raises(
-        ValueError, match="`case` must have moving vehicles in the window for a loss budget, got none"
+        ValueError, match="`case` must have moving vehicles in the scored area for a loss budget, got none"
     ):
         measure_bounds(case(flight={"frames": 5, "off_nadir_deg": 0.0}))
 

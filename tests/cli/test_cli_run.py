@@ -32,7 +32,9 @@ def tree():
         f"/bound/{g}": xr.Dataset({"of_moving": ("stage", v)}, {"stage": stages}) for g, v in budgets.items()
     }
     return xr.DataTree.from_dict(
-        nodes | {f"/{name}": xr.Dataset(attrs=SCORES) for name in ("pan", "dolp", "all")}
+        nodes
+        | {f"/{name}": xr.Dataset({}, {"time": np.arange(9.0)}, SCORES) for name in ("pan", "dolp", "all")}
+        | {"/": xr.Dataset(attrs={"frames_done": 9})}
     )
 
 
@@ -110,7 +112,19 @@ def one_car(frames):
 
 
 def test_a_requirement_is_judged_by_the_tracks_that_are_told():
-    window, wanted = [(-10.0, -10.0, 200.0, 10.0)], read_requirement("completeness>=0.4")
-    found = assess_tracks(one_car(12), wanted, "pan", window)
+    areas = dict.fromkeys(range(12), (-10.0, -10.0, 200.0, 10.0))
+    wanted, flown = read_requirement("completeness>=0.4"), one_car(12)
+    found = assess_tracks(flown, wanted, "pan", areas)
     assert found.value == 0.5 and found.answer == "yes"
-    assert assess_tracks(one_car(12), wanted, "pan", []).answer == "undecided"
+    flown["pan"].attrs["learning_frames"] = 3.0
+    assert assess_tracks(flown, wanted, "pan", {}).answer == "undecided"  # no frame is scored
+
+
+def test_a_requirement_counts_from_the_end_of_learning():
+    """The first frame has a track, the second has none."""
+    flown = one_car(13)
+    flown["pan"].attrs["learning_frames"] = 1.0
+    areas = dict.fromkeys(range(13), (-10.0, -10.0, 200.0, 10.0))
+    assert assess_tracks(flown, read_requirement("completeness>=0.4"), "pan", areas).value == 0.5
+    flown["pan"].attrs["learning_frames"] = 0.0
+    assert assess_tracks(flown, read_requirement("completeness>=0.4"), "pan", areas).value == 7 / 13

@@ -77,6 +77,9 @@ def test_what_is_no_requirement_is_refused(text, match):
         read_requirement(text)
 
 
+KM2 = (0.0, 0.0, 1000.0, 1000.0)
+
+
 def test_channel_that_did_not_fly_is_refused():
     with pytest.raises(ValueError, match="pan, dolp"):
         read_requirement("all.custody>=0.8").check_channel(["pan", "dolp"])
@@ -90,7 +93,7 @@ def test_a_flight_of_few_frames_or_seconds_decides_nothing(frames, rate_hz, deci
     ids, yes = np.arange(3), np.ones(3, bool)
     place_m = 50.0 * np.stack([ids, ids], axis=1)
     vehicles = Vehicles(ids, place_m, yes, yes, yes)
-    epochs = [match_epoch(ids[:2], place_m[:2], vehicles, 5.0, k / rate_hz, 1.0) for k in range(frames)]
+    epochs = [match_epoch(ids[:2], place_m[:2], vehicles, 5.0, k / rate_hz, KM2) for k in range(frames)]
     found = assess_flight(Requirement("completeness", True, 0.5), epochs)
     assert found.value == pytest.approx(2 / 3)
     assert found.answer == ("yes" if decides else "undecided")

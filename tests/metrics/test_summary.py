@@ -25,9 +25,9 @@ def test_the_definitions_are_frozen():
     assert (metrics.MOVING_SPEED_M_S, metrics.VISIBLE_FRACTION, metrics.MATCH_DISTANCE_M) == (1.0, 0.25, 5.0)
     vehicles = truth((1, 0, 0, 1.0), (2, 100, -100, 0.99), (3, 100.1, 0, 9.0), visible=[0.25, 0.249, 1.0])
     assert metrics.is_moving(vehicles).tolist() == [True, False, True]
-    assert metrics.is_in_window(vehicles, AREA).tolist() == [True, True, False]
+    assert metrics.is_in_area(vehicles, AREA).tolist() == [True, True, False]
     assert metrics.is_visible(vehicles).tolist() == [True, False, True]
-    assert metrics.window_km2(AREA) == pytest.approx(0.04)
+    assert metrics.area_km2(AREA) == pytest.approx(0.04)
     assert metrics.HEADLINE == (
         "held_per_km2", "completeness", "completeness_visible", "custody", "false_per_km2"
     )  # fmt: skip

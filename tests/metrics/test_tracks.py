@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+import shapely
 import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
@@ -253,3 +254,32 @@ def test_pairs_that_share_ends_are_one_group():
     groups = {tuple(group) for group in connected_components(left, right)}
     assert groups == {(0, 2, 3), (1, 5), (4,)}
     assert connected_components(np.zeros(0, int), np.zeros(0, int)) == []
+
+
+def test_a_polygon_scores_as_its_rectangle_but_leaves_out_tracks_beyond_it():
+    """Two vehicles inside, one outside; a false track inside, one far outside."""
+    cars = truth((1, 0, 0, FAST), (2, 50, 0, FAST), (3, 150, 0, FAST))
+    found = tracks((7, 1, 0), (8, 150, 1), (9, -50, 50), (10, -150, 50))
+    of_rectangle = metrics.score_epoch(found, cars, AREA)
+    of_polygon = metrics.score_epoch(found, cars, shapely.box(*AREA))
+    for name in ("should", "inside", "matched_track", "valid"):
+        np.testing.assert_array_equal(getattr(of_polygon, name), getattr(of_rectangle, name))
+    assert of_polygon.area_km2 == pytest.approx(of_rectangle.area_km2) == pytest.approx(0.04)
+    assert of_rectangle.false.tolist() == [False, False, True, True]
+    assert of_polygon.false.tolist() == [False, False, True, False]
+
+
+def test_tables_are_scored_with_the_area_of_each_epoch():
+    """The area moves over two standing places: each is inside in one of the two epochs."""
+    rows = {"time_s": [0.0, 0.0, 1.0, 1.0], "vehicle_id": [1, 2, 1, 2], "east_m": [0.0, 50.0, 0.0, 50.0]}
+    rows |= {"north_m": [0.0] * 4, "east_speed_m_s": [9.0] * 4, "north_speed_m_s": [0.0] * 4}
+    table = xr.Dataset({name: ("row", np.array(values)) for name, values in rows.items()})
+    areas = {0.0: shapely.box(-9, -9, 9, 9), 1.0: shapely.box(41, -9, 59, 9)}
+    first, second = metrics.score_epochs(xr.Dataset(), table, areas.__getitem__)
+    assert first.inside.tolist() == [True, False] and second.inside.tolist() == [False, True]
+    (late,) = metrics.score_epochs(xr.Dataset(), table, areas.__getitem__, first_s=0.5)
+    assert late.time_s == 1.0
+    marked = table.assign(inside=("row", [True, False, False, True]))
+    assert [one.inside.tolist() for one in metrics.score_epochs(xr.Dataset(), marked)] == [
+        [True, False], [False, True]
+    ]  # fmt: skip

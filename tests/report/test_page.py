@@ -101,7 +101,7 @@ def test_the_first_screen_has_verdict_loss_budget_facts_north_sun_and_scale(fold
     first = html[html.index("<header>") : html.index("</header>")]
     assert "Pan tracks 45 of 100 moving vehicles" in first
     labels = re.findall(r'<th scope="row">(.*?)</th><td class="bar-of"><span style="width: (.*?)%">', first)
-    assert labels == [("moving in the window", "100.0"), ("background known", "50.0")]
+    assert labels == [("moving in the scored area", "100.0"), ("background known", "50.0")]
     told = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first))
     assert list(told) == ["case", "flight", "sun", "altitude", "off nadir", "an element sees"]
     assert told["case"] == "small" and told["sun"].endswith("azimuth 251°")

@@ -90,3 +90,26 @@ def test_beyond_what_eyes_see_there_is_no_natural_colour(three_cars, tmp_path):
     assert recorder.film.index()["kinds"] == ["pan", "dolp", "aop"]
     drawn = {path.stem for path in (tmp_path / "pictures").glob("*.png")}
     assert {"view_dolp", "pan"} <= drawn and not {"rgb", "view_rgb"} & drawn
+
+
+def test_pictures_and_film_of_an_interrupted_flight_end_with_the_last_complete_frame(three_cars):
+    """The interrupt comes in the second channel of the fourth frame."""
+    design = case(
+        flight=FLIGHT, channels=["pan", "dolp"], sensor={"rows": 80, "columns": 120},
+        output={"film_frames": 2, "keep_frames": 0}, bound={"every": 0},
+    )  # fmt: skip
+    recorder = Recorder(design)
+
+    def watch(epoch):
+        if epoch.index == 3 and epoch.channel == "dolp":
+            raise KeyboardInterrupt
+        recorder.record(epoch)
+
+    tree = simulate(design, watch)
+    assert tree.attrs["frames_done"] == 3 and recorder.colour is None
+    recorder.show_last_frame(3)
+    last_s = tree["pan"]["time"].values[-1]
+    assert {name: image.attrs["time_s"] for name, image in recorder.shown.items()} == {
+        "pan": last_s, "dolp": last_s
+    }  # fmt: skip
+    assert recorder.film.index()["frames"] == [0, 2] and recorder.colour is not None

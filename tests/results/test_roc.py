@@ -52,8 +52,8 @@ def detections(clutter=0, missed=0.0, seed=0, judged=False):
 
 def test_cars_alone_are_tracked_from_confirmation_on():
     swept = flight_roc(plain_case({}), "pan", detections(), truth(), GRID, AREA_M, (6.0,))
-    unconfirmed = 2  # frames before three hits, a second and eight metres, which come together at 1 s
-    assert swept["completeness"].values == pytest.approx(1 - unconfirmed / len(TIMES_S))
+    # three hits, a second and eight metres come together at 1 s, in the first frame after learning
+    assert swept["completeness"].values == 1.0
     np.testing.assert_array_equal(swept["false_per_epoch"].values, 0)
     np.testing.assert_array_equal(swept["purity"].values, 1)
 
@@ -97,7 +97,8 @@ def test_where_tracks_are_reported_by_existence_the_flight_as_flown_lies_on_its_
     for time_s, one in found:
         state = track.step_detections(state, one, time_s, GRID)
         told.append((time_s, track.report(state)))
-    flown = metrics.summarize(metrics.score_epochs(as_rows(told), truth(), AREA_M))
+    learnt_s = TIMES_S[case.track.count_learning_frames(case.flight.rate_hz)]
+    flown = metrics.summarize(metrics.score_epochs(as_rows(told), truth(), AREA_M, first_s=learnt_s))
     own = swept.sel(threshold=swept.attrs["own"])
     for name in ("completeness", "false_per_epoch", "purity"):
         assert float(own[name]) == pytest.approx(flown[name])

@@ -36,8 +36,8 @@ def tree(stages):
 def test_the_loop_that_holds_most_speaks():
     said = verdict(xr.DataTree(), SCORES)
     assert said == (
-        "Pan tracks 33 of 100 moving vehicles, 40 of 100 visible ones, with 34 false tracks per km² (mean of "
-        "all frames). One track stays on a vehicle for 35 % of its visible time."
+        "Pan tracks 33 of 100 moving vehicles in the window, 40 of 100 visible ones, with 34 false tracks "
+        "per km² (mean of all frames). One track stays on a vehicle for 35 % of its visible time."
     )
     assert select_channel({"pan": {"completeness": np.nan}, "dolp": {"completeness": 0.0}}) == "dolp"
 
@@ -75,7 +75,7 @@ def test_what_the_sensor_would_allow_is_said_of_visible_vehicles():
 def test_what_was_not_scored_is_not_said():
     assert (
         verdict(xr.DataTree(), {"pan": {"completeness": 0.45}})
-        == "Pan tracks 45 of 100 moving vehicles (mean of all frames)."
+        == "Pan tracks 45 of 100 moving vehicles in the window (mean of all frames)."
     )
 
 
@@ -106,7 +106,8 @@ def test_what_a_memory_wins_back_is_not_lost():
 
 def flown(held, stages=STAGES):
     """A result of which a channel held these shares, frame by frame."""
-    groups = {"/pan": xr.Dataset({"completeness": ("time", np.asarray(held, float))})}
+    times = {"time": 0.5 * np.arange(len(held))}
+    groups = {"/pan": xr.Dataset({"completeness": ("time", np.asarray(held, float))}, times)}
     return xr.DataTree.from_dict(groups | {"/bound/pan": tree(stages)["bound/pan"].to_dataset()})
 
 
@@ -124,7 +125,7 @@ def test_a_field_smaller_than_the_window_is_told_with_what_holds_it():
 
 def test_a_flight_too_short_for_a_loss_budget_says_so_and_what_it_sees():
     small = {"sensor.rows": 280, "sensor.columns": 440, "flight.off_nadir_deg": 0.0, "flight.frames": 5}
-    groups = {"/pan": xr.Dataset({"completeness": ("time", np.full(5, 0.5))})}
+    groups = {"/pan": xr.Dataset({"completeness": ("time", np.full(5, 0.5))}, {"time": np.arange(5.0)})}
     field, missing = reservations(xr.DataTree.from_dict(groups), SCORES, Case().replace(small))
     assert "sees about " in field and "less than the window" in field and " of 100" not in field
     assert "more than 5 frames (`bound.every`), got 5" in missing
@@ -133,9 +134,41 @@ def test_a_flight_too_short_for_a_loss_budget_says_so_and_what_it_sees():
 def test_frames_before_the_first_track_are_told():
     early, late = [0, 0.2, 0.3, 0.4, 0.4, 0.5, 0.5, 0.5], [0, 0, 0, 0, 0.2, 0.3, 0.3, 0.3]
     assert reservations(flown(early), SCORES, None) == []
-    assert "first track was confirmed after 4 of the 8 frames" in reservations(flown(late), SCORES, None)[0]
-    assert "No track was correct in 3 frames" in reservations(flown([0, 0, 0]), SCORES, None)[0]
+    assert (
+        "first track was confirmed after 4 of the 8 scored frames"
+        in reservations(flown(late), SCORES, None)[0]
+    )
+    assert reservations(flown([0, 0, 0]), SCORES, None) == []  # the verdict is 0 of 100
     assert reservations(xr.DataTree(), {}, None) == []
+
+
+def test_frames_in_which_the_background_is_learnt_do_not_count():
+    of = flown([0, 0, 0.5, 0.5])
+    assert "first track was confirmed after 2" in reservations(of, SCORES, None)[0]
+    of["pan"].attrs["learning_frames"] = 2.0
+    assert reservations(of, SCORES, None) == []
+
+
+@pytest.mark.parametrize(
+    ("frames", "rate_hz", "short"), [(13, 2.0, True), (14, 2.0, False), (40, 10.0, True)]
+)
+def test_a_run_too_short_is_undecided(frames, rate_hz, short):
+    """12 frames and 5 s are needed after the two frames, or 0.75 s, of learning."""
+    of = flown([0.0] * frames)
+    of["pan"] = of["pan"].to_dataset().assign_coords(time=np.arange(frames) / rate_hz)
+    of["pan"].attrs["learning_frames"] = 2.0
+    assert verdict(of, SCORES).startswith("Undecided: the run is too short. ") == short
+
+
+def test_the_verdict_states_its_denominator():
+    of = flown([0.5] * 20)
+    of.attrs["area"] = "footprint"
+    of["pan"].attrs |= {"completeness_window": 0.049, "epochs": 18.0}
+    said = verdict(of, SCORES)
+    assert said.startswith("Pan tracks 33 of 100 moving vehicles in the frame (5 of 100 in the whole window)")
+    assert "(mean of 18 frames)" in said
+    small = Case().replace({"sensor.rows": 280, "sensor.columns": 440, "bound.every": 0})
+    assert not [one for one in reservations(of, SCORES, small) if "sees about" in one]
 
 
 def test_a_loss_budget_of_other_frames_than_the_scores_says_so():
@@ -193,7 +226,8 @@ def test_more_false_tracks_than_asked_for_are_told():
     for false, told in ((183.0, True), (3.0, False)):
         scores = {"all": SCORES["pan"] | {"held_per_km2": 12.5, "false_per_km2": false}}
         said = " ".join(reservations(xr.DataTree(), scores, case))
-        assert ("94 of 100 reported tracks are false, more than the limit of 10" in said) == told
+        limit = f"{100 * case.track.reporting.max_false_share:.0f}"
+        assert (f"94 of 100 reported tracks are false, more than the limit of {limit}" in said) == told
     without_ratios = xr.DataTree.from_dict({"all/detections": xr.Dataset({"contrast": ("row", [1.0])})})
     scores = {"all": SCORES["pan"] | {"held_per_km2": 12.5, "false_per_km2": 183.0}}
     assert "more than the limit" not in " ".join(reservations(without_ratios, scores, case))

@@ -124,6 +124,18 @@ def test_an_interrupt_keeps_the_frames_done(three_cars):
     assert tree["pan"].sizes["time"] == 3
 
 
+@pytest.mark.parametrize("detector", ["mosaic", "median-motion"])
+def test_nothing_is_detected_before_the_end_of_learning_and_scores_begin_there(three_cars, detector):
+    flight = {"frames": 7, "rate_hz": 5.0, "off_nadir_deg": 0.0, "altitude_m": 3000.0}
+    track, found = {"detect": {"detector": detector}, "query": {"policy": "none"}}, []
+    design = case(flight=flight, track=track)
+    tree = simulate(design, lambda epoch: found.append(len(epoch.detections)))
+    learnt = design.track.count_learning_frames(5.0)
+    assert learnt == {"mosaic": 4, "median-motion": 2}[detector]
+    assert sum(found[:learnt]) == 0 and sum(found[learnt:]) > 0
+    assert tree["pan"].attrs["epochs"] == 7 - learnt and tree["pan"].sizes["time"] == 7
+
+
 def test_light_made_ahead_changes_nothing(three_cars):
     """By one thread each frame is made when it is wanted, by two while the frame before is tracked."""
     found, before = [], nb.get_num_threads()

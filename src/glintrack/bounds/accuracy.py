@@ -135,11 +135,11 @@ def information_reduction(detection_probability: float, clutter: float, rng: np.
 
 @dataclass(frozen=True)
 class FrameTruth:
-    """Truth of one frame as the bounds need it; ``counted`` are the visible movers of the window."""
+    """Truth of one frame as the bounds need it; ``counted`` are the visible movers of the area."""
 
     time_s: float
     lens_m: Float[Array, "2"]
-    area_m2: float
+    area: metrics.Area
     vehicle: Int[Array, "vehicle"]
     place: Float[Array, "vehicle 2"]
     heading: Float[Array, "vehicle"]
@@ -148,15 +148,13 @@ class FrameTruth:
     length: Float[Array, "vehicle"]
 
     @classmethod
-    def of(
-        cls, time_s: float, pose: Pose, truth: xr.Dataset, area_m: tuple[float, float, float, float]
-    ) -> "FrameTruth":
-        """Select from the truth of a frame; ``area_m`` is the window."""
-        counted = metrics.is_moving(truth) & metrics.is_in_window(truth, area_m) & metrics.is_visible(truth)
+    def of(cls, time_s: float, pose: Pose, truth: xr.Dataset, area: metrics.Area) -> "FrameTruth":
+        """Select from the truth of a frame with its scored area. [s, m]"""
+        counted = metrics.is_moving(truth) & metrics.is_in_area(truth, area) & metrics.is_visible(truth)
         return cls(
             time_s=time_s,
             lens_m=pose.position[:2],
-            area_m2=1e6 * metrics.window_km2(area_m),
+            area=area,
             vehicle=truth["vehicle"].values,
             place=np.stack([truth["east_m"].values, truth["north_m"].values], axis=1),
             heading=truth["heading_rad"].values,
@@ -199,7 +197,7 @@ class FrameTracking(NamedTuple):
         return cls(
             found=truth.vehicle[row],
             offset=np.einsum("nac,nc->na", _view_axes(truth.place[row], truth.lens_m), offset),
-            false=detection[false],
+            false=detection[false & metrics.contains(truth.area, detection)],
             track=tracks["track"].values,
             position=np.stack([tracks["east_m"].values, tracks["north_m"].values], axis=1),
         )
@@ -221,7 +219,7 @@ class DetectorStatistics:
         if len(offset) < _MIN_DETECTIONS:
             return None
         counted = sum(int(s.counted.sum()) for s in truths)
-        clutter = np.mean([len(f.false) / s.area_m2 for s, f in pairs])
+        clutter = 1e-6 * np.nanmean([len(f.false) / metrics.area_km2(s.area) for s, f in pairs])
         return cls(len(offset) / counted, np.cov(offset.T), float(clutter))
 
     @cached_property

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from glintrack.core.arrays import Array
 
 STAGE_LABELS: Mapping[str, str] = {
-    "moving": "moving in the window",
+    "moving": "moving in the scored area",
     "in_view": "in the frame",
     "visible": "visible",
     "ideal_observer": "noise alone",
@@ -50,7 +50,7 @@ class FrameBudget:
     index, time_s
         Index and time of the frame. [1, s]
     movers, in_view
-        Number of vehicles that move in the window, and of those with their middle in the frame or visible.
+        Number of vehicles that move in the area, and of those with their middle in the frame or visible.
     vehicles
         Properties of the visible movers: ``vehicle_id``, ``length``, ``speed``, …, one row each.
     probability, detectability
@@ -93,7 +93,7 @@ def loss_budget(frames: list[FrameBudget], false_per_frame: float) -> xr.Dataset
 
     Returns
     -------
-    ``of_moving(stage)``: share of the vehicles that move in the window, counting only visible ones from
+    ``of_moving(stage)``: share of the vehicles that move in the scored area, counting only visible ones from
     ``visible`` on. ``of_visible(stage)``: share of the visible ones. ``false_detections(stage)``: number per
     frame, where the stage detects. NaN where a stage was not measured. Attributes ``d_prime_5`` and
     ``d_prime_50``: 5th percentile and median of the visible vehicles. One ``row`` per vehicle and frame with
@@ -106,7 +106,7 @@ def loss_budget(frames: list[FrameBudget], false_per_frame: float) -> xr.Dataset
     """
     movers = sum(f.movers for f in frames)
     if movers == 0:
-        raise ValueError("`case` must have moving vehicles in the window for a loss budget, got none")
+        raise ValueError("`case` must have moving vehicles in the scored area for a loss budget, got none")
     visible = sum(len(f.probability) for f in frames)
     counts = dict.fromkeys(STAGES, np.nan)
     counts |= {"moving": movers, "in_view": sum(f.in_view for f in frames), "visible": visible}

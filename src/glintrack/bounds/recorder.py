@@ -55,6 +55,8 @@ class BudgetRecorder:
         As in the ``[bound]`` table of a case.
     with_unpolarized
         Whether to measure with light of S1 = S2 = 0 too.
+    first
+        Index of the first scored frame.
     frames, unpolarized
         Results by group, in order of time; complete after `finish`.
     """
@@ -65,6 +67,7 @@ class BudgetRecorder:
     seed: int
     every: int
     false_per_frame: float
+    first: int = 1
     with_unpolarized: bool = False
     frames: dict[str, list[FrameBudget]] = field(default_factory=dict)
     unpolarized: dict[str, list[FrameBudget]] = field(default_factory=dict)
@@ -74,7 +77,7 @@ class BudgetRecorder:
 
     def take(self, frame: ObservedFrame) -> None:
         """Add the next frame, and measure it in the background if it is one of those."""
-        if frame.index > 0 and frame.index % self.every == 0:
+        if frame.index >= max(self.first, 1) and frame.index % self.every == 0:
             with_positions = not self._measured % POSITIONS_EVERY
             self._measured += 1
             self._task.begin(partial(self._measure, frame, tuple(self._past), with_positions))
@@ -195,9 +198,9 @@ class BudgetRecorder:
         return on_ground(city.terrain, cells)[:, 2].reshape(len(y), len(x))
 
     def _vehicles(self, frame: ObservedFrame, snapshot: Snapshot) -> Callable[[], FrameBudget]:
-        """Prepare a frame's budget with the movers of the window."""
+        """Prepare a frame's budget with the movers of the scored area."""
         city, truth = self.observer.city, frame.truth
-        movers = metrics.is_moving(truth) & metrics.is_in_window(truth, city.extent_m)
+        movers = metrics.is_moving(truth) & truth["inside"].values
         visible = movers & metrics.is_visible(truth)
         middle = np.stack([truth[name].values for name in ("east_m", "north_m", "up_m")], axis=1)
         middle[:, 2] += truth["height_m"].values / 2

@@ -60,8 +60,8 @@ class FlightBudget:
         if epoch.channel == self.case.channels[0]:
             self._times_s.append(epoch.time_s)
             self.recorder.take(_view(epoch.index, epoch.time_s, true_frame, epoch.observer))
-            area_m = epoch.city.extent_m
-            self._truths.append(FrameTruth.of(epoch.time_s, true_frame.true_pose, true_frame.truth, area_m))
+            of_frame = true_frame.true_pose, true_frame.truth, true_frame.area
+            self._truths.append(FrameTruth.of(epoch.time_s, *of_frame))
         truth, ratio = self._truths[-1], found.log_likelihood_ratio
         score = found.contrast if ratio is None else ratio
         scored = score_detections(found.position, score, truth.place, truth.length)
@@ -146,8 +146,7 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
         true_frame = true_frame_at(scenario, t, errors[k])
         recorder = recorder or _recorder(case, observer, true_frame, True)
         recorder.take(_view(k, float(t), true_frame, observer))
-        area_m = scenario.city.extent_m
-        truths.append(FrameTruth.of(float(t), true_frame.true_pose, true_frame.truth, area_m))
+        truths.append(FrameTruth.of(float(t), true_frame.true_pose, true_frame.truth, true_frame.area))
         if progress is not None:
             progress(k + 1)
     assert recorder is not None
@@ -165,6 +164,7 @@ def _recorder(
         seed=case.seed,
         every=max(case.bound.every, 1),
         false_per_frame=case.bound.false_per_frame,
+        first=1 if unpolarized else case.track.count_learning_frames(case.flight.rate_hz),
         with_unpolarized=unpolarized,
     )
 

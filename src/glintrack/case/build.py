@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from glintrack.atmosphere import AtmosphereDesign, solve_tables, sun_direction
+from glintrack.case.area import ScoredArea, fit_window, scored_area
 from glintrack.case.design import Case
 from glintrack.core.progress import step
-from glintrack.core.records import GroundPlace
+from glintrack.core.records import Extent, GroundPlace
 from glintrack.flight import Flight, build_flight, check_recorded
 from glintrack.ortho import ground_grid, rectify_array
 from glintrack.render import Observer, Sky, unpack_sky
@@ -26,9 +27,9 @@ class Scenario:
     Parameters
     ----------
     case
-        The design.
-    city, sky, flight, sensor
-        Built from the tables of the case.
+        The design, with the window that its footprint needs.
+    city, sky, flight, sensor, area
+        Built from the tables of the case; ``area`` is the one whose vehicles are scored.
     observer
         The sensor's camera over the city; its intersectors are built when first needed.
     """
@@ -39,6 +40,7 @@ class Scenario:
     flight: Flight
     sensor: Sensor
     observer: Observer
+    area: ScoredArea
 
 
 def decides_hits(case: Case) -> dict[str, Any]:
@@ -48,7 +50,7 @@ def decides_hits(case: Case) -> dict[str, Any]:
     if optics.lens:
         distortion = {"lens": read_lens(optics.lens).model_dump(mode="json"), "band_um": sensor.band_um}
     return {
-        "scene": case.scene.model_dump(mode="json"),
+        "scene": fit_window(case).scene.model_dump(mode="json", exclude={"area"}),
         "flight": flight.model_dump(mode="json", exclude={"frames", "rate_hz"}),
         "sun": sun_direction(case.atmosphere),
         "camera": [sensor.focal_length_mm, sensor.pitch_um, sensor.rows, sensor.columns],
@@ -62,6 +64,7 @@ def build_scenario(case: Case) -> Scenario:
     """Build the city, atmosphere, flight and sensor of a case."""
     if not isinstance(case, Case):
         raise TypeError(f"`case` must be a Case, got {case!r} (Case.from_toml reads one; run takes a name)")
+    case = fit_window(case)
     with step("building the city"):
         city = build_scene(case.scene)
     check_place(case.atmosphere, city)
@@ -79,7 +82,8 @@ def build_scenario(case: Case) -> Scenario:
         oversampling=case.sensor.oversampling,
         sun_samples=case.sensor.sun_samples,
     )
-    return Scenario(case, city, sky, flight, sensor, observer)
+    area = scored_area(case, Extent(*city.extent_m), sensor.camera, flight)
+    return Scenario(case, city, sky, flight, sensor, observer, area=area)
 
 
 def check_place(atmosphere: AtmosphereDesign, city: City) -> None:

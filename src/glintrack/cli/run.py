@@ -3,7 +3,7 @@
 import math
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -33,6 +33,7 @@ from glintrack.core.parallel import compilation
 from glintrack.core.units import format_duration
 from glintrack.io.atomic import check_new_folder, list_files
 from glintrack.io.toml import toml_value
+from glintrack.metrics import Area
 from glintrack.metrics.requirement import (
     Assessment,
     Requirement,
@@ -41,6 +42,7 @@ from glintrack.metrics.requirement import (
     read_requirement,
 )
 from glintrack.metrics.rows import score_epochs
+from glintrack.results.collect import scored_times
 from glintrack.results.epoch import Epoch
 from glintrack.results.figures import LOOP_COLOURS
 from glintrack.results.read import Result, score_text
@@ -125,7 +127,7 @@ def run(
         console.print(f"warning: {note}")
     if not is_complete():
         _show_warm_up(console)
-    window: list[tuple[float, float, float, float]] = []
+    areas: dict[float, Area] = {}
     columns = (
         TextColumn("{task.description}"),
         BarColumn(BAR_WIDTH),
@@ -137,7 +139,7 @@ def run(
         task = progress.add_task(design.name, total=design.flight.frames, left="")
 
         def show(epoch: Epoch) -> None:
-            window[:] = [epoch.city.extent_m]
+            areas[epoch.time_s] = epoch.true_frame.area
             if epoch.channel == last:
                 tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} moving vehicles tracked now"
                 done = epoch.index + 1 == design.flight.frames
@@ -159,23 +161,22 @@ def run(
     assert tree is not None
     _conclude(console, result, tree, total_s)
     best = select_channel(result.scores) or last
-    found = [(one, assess_tracks(tree, one, one.channel or best, window)) for one in requirements]
+    found = [(one, assess_tracks(tree, one, one.channel or best, areas)) for one in requirements]
     for requirement, judged in found:
         console.print(describe_assessment(requirement, judged))
     check_answers(judged.answer for _, judged in found)
 
 
 def assess_tracks(
-    tree: xr.DataTree,
-    requirement: Requirement,
-    channel: str,
-    window_m: Sequence[tuple[float, float, float, float]],
+    tree: xr.DataTree, requirement: Requirement, channel: str, areas: Mapping[float, Area]
 ) -> Assessment:
-    """Judge a requirement by the reported tracks; ``window_m`` is empty if no frame was simulated."""
-    if not window_m:
+    """Judge a requirement by the reported tracks after learning, with the scored area at each time. [s, m]"""
+    scored_s = scored_times(tree, channel)
+    if not len(scored_s):
         return assess_flight(requirement, [])
     tracks, truth = tree[f"{channel}/tracks"].to_dataset(), tree["truth"].to_dataset()
-    return assess_flight(requirement, score_epochs(tracks, truth, window_m[0]))
+    scores = score_epochs(tracks, truth, areas.__getitem__, first_s=float(scored_s[0]))
+    return assess_flight(requirement, scores)
 
 
 def _conclude(console: Console, result: Result, tree: xr.DataTree, total_s: float) -> None:
@@ -219,7 +220,9 @@ def print_scores(console: Console, tree: xr.DataTree) -> None:
         for channel in LOOP_COLOURS
         if channel in tree.children
     ]
-    title = "scores of all frames: tracked vehicles per km², and tracked share of the moving and visible ones"
+    frames = len(scored_times(tree, next(name for name in LOOP_COLOURS if name in tree.children)))
+    of = f"{frames} of {tree.attrs['frames_done']} frames, after learning the background"
+    title = f"scores of {of}: tracked vehicles per km², and tracked share of the moving and visible ones"
     console.print(make_table(title, ["", *_SCORES.values()], rows))
 
 

@@ -32,21 +32,24 @@ from glintrack.metrics.summary import (
 from glintrack.metrics.tracks import (
     MATCH_DISTANCE_M,
     VISIBLE_FRACTION,
+    Area,
     EpochScore,
-    is_in_window,
+    area_km2,
+    contains,
+    is_in_area,
     is_moving,
     is_visible,
     match,
     near_pairs,
     score_epoch,
-    window_km2,
 )
 
 __all__ = [
-    "HEADLINE", "MATCH_DISTANCE_M", "MOVING_SPEED_M_S", "QUALITY_UNITS", "VISIBLE_FRACTION", "EpochScore",
-    "aop_error", "completeness", "custody", "frame_quality", "gospa", "identity_switches", "idf1_moving",
-    "is_in_window", "is_moving", "is_visible", "match", "median_time_to_loss", "mtf", "multi_object_scores",
-    "near_pairs", "ospa", "point_similarity", "psnr", "purity", "registration_error", "registration_error_px",
-    "rmse", "running_purity", "same_track_after", "score_epoch", "score_epochs", "score_rows", "score_tables",
-    "snr", "spectral_angle", "ssim", "summarize", "vehicle_purity", "window_km2",
+    "HEADLINE", "MATCH_DISTANCE_M", "MOVING_SPEED_M_S", "QUALITY_UNITS", "VISIBLE_FRACTION", "Area",
+    "EpochScore", "aop_error", "area_km2", "completeness", "contains", "custody", "frame_quality", "gospa",
+    "identity_switches", "idf1_moving", "is_in_area", "is_moving", "is_visible", "match",
+    "median_time_to_loss", "mtf", "multi_object_scores", "near_pairs", "ospa", "point_similarity", "psnr",
+    "purity", "registration_error", "registration_error_px", "rmse", "running_purity", "same_track_after",
+    "score_epoch", "score_epochs", "score_rows", "score_tables", "snr", "spectral_angle", "ssim",
+    "summarize", "vehicle_purity",
 ]  # fmt: skip

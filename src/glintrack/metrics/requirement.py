@@ -167,7 +167,7 @@ def describe_assessment(requirement: Requirement, found: Assessment) -> str:
     """Describe an assessment in a sentence, with the answer first."""
     answer = {"yes": "Yes", "no": "No"}.get(found.answer, "Undecided")
     if not math.isfinite(found.low):
-        least = f"at least {MIN_FRAMES} frames and {MIN_SCORED_S:g} s"
+        least = f"at least {MIN_FRAMES} frames and {MIN_SCORED_S:g} s after learning"
         return f"{answer}: {requirement} is required; the flight is too short for an answer ({least})."
     interval = f"({found.low:.3g} to {found.high:.3g})"
     text = f"{answer}: {requirement} is required; the score is {found.value:.3g} {interval}"

@@ -1,6 +1,7 @@
 """Scores of tables: tracks and truth with one row per object and epoch."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
@@ -13,22 +14,23 @@ from glintrack.metrics.multi_object import gospa, multi_object_scores, ospa, poi
 from glintrack.metrics.summary import summarize
 from glintrack.metrics.tracks import (
     MATCH_DISTANCE_M,
-    AreaM,
+    Area,
     EpochScore,
     check_ids,
+    contains,
     match_epoch,
     positions_of,
     vehicles_of,
-    window_km2,
 )
 
 SAME_TIME_S = 1e-3  # times in files are rounded
+Areas = Area | Callable[[float], Area]  # the same at each epoch, or a function of the epoch [s]
 
 
 def score_rows(
     tracks: xr.Dataset,
     truth: xr.Dataset,
-    area_m: AreaM | None = None,
+    area_m: Areas | None = None,
     match_distance_m: float = MATCH_DISTANCE_M,
     moving_speed_m_s: float = MOVING_SPEED_M_S,
 ) -> dict[str, float]:
@@ -40,8 +42,8 @@ def score_rows(
         Datasets with dim ``row``: ``time_s``, ``track_id`` or ``vehicle_id``, ``east_m``, ``north_m``; the
         truth with ``east_speed_m_s``, ``north_speed_m_s``, optionally ``visible_fraction`` and ``inside``.
     area_m
-        Area of interest (west, south, east, north); by default the box around the truth, or around the part
-        of it that is ``inside``. [m]
+        Scored area: west, south, east, north, a polygon, or a function that gives it for an epoch. By default
+        the vehicles that are ``inside`` count, and the area is the box around them, or around all. [m]
     match_distance_m, moving_speed_m_s
         See `score_epoch`.
 
@@ -55,17 +57,14 @@ def score_rows(
     ValueError
         If a track has a row at a time that the truth does not have.
     """
-    area = Extent(*area_m) if area_m else _area(truth)
-    scores = score_epochs(tracks, truth, area, match_distance_m, moving_speed_m_s)
+    area_of = _area_function(area_m, truth)
+    scores = score_epochs(tracks, truth, area_m, match_distance_m, moving_speed_m_s)
     epochs, of_vehicles = _epochs_of(truth)
     of_tracks = _split(_epoch_of(tracks, epochs), len(epochs))
     (vehicles, vehicle_m), (found, track_m) = _objects(truth, "vehicle_id"), _objects(tracks, "track_id")
-    vehicle_inside, track_inside = (
-        np.all((place_m >= area[:2]) & (place_m <= area[2:]), axis=1) for place_m in (vehicle_m, track_m)
-    )
     alike, distances = [], []
-    for track_rows, vehicle_rows in zip(of_tracks, of_vehicles, strict=True):
-        t, v = track_rows[track_inside[track_rows]], vehicle_rows[vehicle_inside[vehicle_rows]]
+    for track_rows, vehicle_rows, score in zip(of_tracks, of_vehicles, scores, strict=True):
+        t, v = track_rows[contains(area_of(score.time_s), track_m[track_rows])], vehicle_rows[score.inside]
         alike.append(point_similarity(vehicles[v], vehicle_m[v], found[t], track_m[t], match_distance_m))
         distances.append((ospa(vehicle_m[v], track_m[t]), gospa(vehicle_m[v], track_m[t])))
     mean_ospa, mean_gospa = np.mean(distances, axis=0) if distances else (float("nan"), float("nan"))
@@ -80,42 +79,47 @@ def score_rows(
 def score_epochs(
     tracks: xr.Dataset,
     truth: xr.Dataset,
-    area_m: AreaM | None = None,
+    area_m: Areas | None = None,
     match_distance_m: float = MATCH_DISTANCE_M,
     moving_speed_m_s: float = MOVING_SPEED_M_S,
+    first_s: float = -math.inf,
 ) -> list[EpochScore]:
-    """Score tracks against truth at each epoch of the truth; arguments and errors of `score_rows`."""
-    (scores,) = score_tables([tracks], truth, area_m, match_distance_m, moving_speed_m_s)
+    """Score tracks against truth at each epoch of the truth from ``first_s`` on; see `score_rows`."""
+    (scores,) = score_tables([tracks], truth, area_m, match_distance_m, moving_speed_m_s, first_s)
     return scores
 
 
 def score_tables(
     tables: Sequence[xr.Dataset],
     truth: xr.Dataset,
-    area_m: AreaM | None = None,
+    area_m: Areas | None = None,
     match_distance_m: float = MATCH_DISTANCE_M,
     moving_speed_m_s: float = MOVING_SPEED_M_S,
+    first_s: float = -math.inf,
 ) -> list[list[EpochScore]]:
     """Score several tables of tracks against the same truth like `score_epochs`."""
-    area = Extent(*area_m) if area_m else _area(truth)
-    area_km2, out = window_km2(area), []
+    area_of, out = _area_function(area_m, truth), []
     epochs, of_vehicles = _epochs_of(truth)
-    vehicles = []
+    areas, vehicles = [area_of(time_s) for time_s in epochs.tolist()], []
     if len(epochs):
-        every = vehicles_of(truth, _objects(truth, "vehicle_id")[0], area, moving_speed_m_s)
+        ids, place_m = _objects(truth, "vehicle_id")
+        inside = _marked_inside(truth) & (area_m is None)
+        if not inside.any():
+            for rows, area in zip(of_vehicles, areas, strict=True):
+                inside[rows] = contains(area, place_m[rows])
+        every = vehicles_of(truth, ids, inside, moving_speed_m_s)
         vehicles = [every.select(rows) for rows in of_vehicles]
     for one in vehicles:
         check_ids(one.ids, "vehicle")
     for tracks in tables:
         ids, place_m = _objects(tracks, "track_id")
         of_tracks = _split(_epoch_of(tracks, epochs), len(epochs))
-        at_epochs = zip(epochs.tolist(), of_tracks, vehicles, strict=True)
+        at_epochs = zip(epochs.tolist(), of_tracks, vehicles, areas, strict=True)
         out.append(
             [
-                match_epoch(
-                    check_ids(ids[rows], "track"), place_m[rows], now, match_distance_m, time_s, area_km2
-                )
-                for time_s, rows, now in at_epochs
+                match_epoch(check_ids(ids[rows], "track"), place_m[rows], now, match_distance_m, time_s, area)
+                for time_s, rows, now, area in at_epochs
+                if time_s >= first_s
             ]
         )
     return out
@@ -163,11 +167,23 @@ def _epoch_of(tracks: xr.Dataset, epochs: Float[Array, "epoch"]) -> Array:
     return index
 
 
+def _area_function(area_m: Areas | None, truth: xr.Dataset) -> Callable[[float], Area]:
+    """Scored area at each epoch."""
+    if callable(area_m):
+        return area_m
+    area = _area(truth) if area_m is None else area_m
+    return lambda time_s: area
+
+
+def _marked_inside(truth: xr.Dataset) -> Array:
+    """Return True for each row that is marked as inside."""
+    return truth["inside"].values.astype(bool) if "inside" in truth else np.zeros(truth.sizes["row"], bool)
+
+
 def _area(truth: xr.Dataset) -> Extent:
     if not truth.sizes.get("row"):
         return Extent(-1.0, -1.0, 1.0, 1.0)
-    inside = truth["inside"].values.astype(bool) if "inside" in truth else np.zeros(0, bool)
-    place = positions_of(truth)
+    inside, place = _marked_inside(truth), positions_of(truth)
     if inside.any():  # the truth of a run has vehicles outside its window too
         place = place[inside]
     low, high = place.min(axis=0), place.max(axis=0)

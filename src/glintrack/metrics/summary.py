@@ -1,7 +1,7 @@
 """Scores of a whole run: completeness, Eq. (13), purity, Eq. (14), custody, and the headline scores.
 
 Completeness and purity do not fall when a track breaks and restarts. Custody does: it is the share of a
-vehicle's visible time under one track. In its visible time a vehicle moves, is in the window and is visible.
+vehicle's visible time under one track. In its visible time a vehicle moves in the scored area and is visible.
 Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
 """
 
@@ -27,7 +27,7 @@ def summarize(epochs: Sequence[EpochScore]) -> dict[str, float]:
 
     Returns
     -------
-    The headline: ``held_per_km2`` (moving vehicles of the window that have a track) [km⁻²], ``completeness``
+    The headline: ``held_per_km2`` (moving vehicles of the area that have a track) [km⁻²], ``completeness``
     of all movers, ``completeness_visible``, ``custody`` [1] and ``false_per_km2`` [km⁻²]. Others:
     ``completeness_all``, ``purity`` [1], ``false_per_epoch``, ``tracks_per_epoch``, ``vehicles_per_epoch``
     (that should be tracked), ``identity_switches``, ``median_time_to_loss_s`` [s], ``same_track_after_10s``,
@@ -147,8 +147,8 @@ def custody(epochs: Sequence[EpochScore]) -> float:
 def median_time_to_loss(epochs: Sequence[EpochScore]) -> float:
     """Median time from the start of a custody to its loss; NaN if more than half are never lost. [s]
 
-    From the first match of a track and a moving vehicle of the window to the first epoch after their last. A
-    vehicle that moved in the window at no later epoch was not lost; such times are censored (product limit).
+    From the first match of a track and a moving vehicle of the area to the first epoch after their last. A
+    vehicle that moved in the area at no later epoch was not lost; such times are censored (product limit).
 
     References
     ----------
@@ -205,7 +205,7 @@ def _visible_matches(epoch: EpochScore) -> dict[int, int]:
 
 
 def idf1_moving(epochs: Sequence[EpochScore]) -> float:
-    """IDF1 of the moving vehicles in the window and the tracks that are right or false, at 5 m. [1]
+    """IDF1 of the moving vehicles in the area and the tracks that are right or false, at 5 m. [1]
 
     References
     ----------

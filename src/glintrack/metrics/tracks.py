@@ -4,13 +4,14 @@ At each epoch tracks and vehicles are matched one to one within 5 m: as many pai
 those the least total distance. All vehicles take part, so that a track on a stopped vehicle is not matched
 with another vehicle that drives past. Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
 
-A false track is reported, unmatched, and has no stopped or outside vehicle within the matching distance.
+A false track is unmatched, not outside a polygon, and no stopped or outside vehicle is in matching distance.
 """
 
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import shapely
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
@@ -23,7 +24,7 @@ from glintrack.core.schema import MOVING_SPEED_M_S
 
 MATCH_DISTANCE_M = 5.0
 VISIBLE_FRACTION = 0.25
-AreaM = tuple[float, float, float, float]
+Area = tuple[float, float, float, float] | shapely.Geometry  # west, south, east, north, or corners [m]
 Over = Literal["moving", "visible", "all"]
 
 
@@ -32,10 +33,17 @@ def is_moving(truth: xr.Dataset, min_m_s: float = MOVING_SPEED_M_S) -> Bool[Arra
     return np.hypot(truth["east_speed_m_s"].values, truth["north_speed_m_s"].values) >= min_m_s
 
 
-def is_in_window(truth: xr.Dataset, area_m: AreaM) -> Bool[Array, "vehicle"]:
-    """Return True for vehicles with their centre in (west, south, east, north), edges included."""
+def is_in_area(truth: xr.Dataset, area_m: Area) -> Bool[Array, "vehicle"]:
+    """Return True for vehicles with their centre in the area, edges included."""
+    return contains(area_m, positions_of(truth))
+
+
+def contains(area_m: Area, place_m: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+    """Return True for places in the area, edges included."""
+    x, y = place_m.T
+    if isinstance(area_m, shapely.Geometry):
+        return np.asarray(shapely.intersects_xy(area_m, x, y), np.bool_)
     west, south, east, north = area_m
-    x, y = truth["east_m"].values, truth["north_m"].values
     return (x >= west) & (x <= east) & (y >= south) & (y <= north)
 
 
@@ -49,14 +57,16 @@ def is_visible(truth: xr.Dataset, min_fraction: float = VISIBLE_FRACTION) -> Boo
     return truth["visible_fraction"].values >= min_fraction
 
 
-def window_km2(area_m: AreaM) -> float:
-    """Area of the window. [km²]
+def area_km2(area_m: Area) -> float:
+    """Size of the area; NaN for an empty polygon. [km²]
 
     Raises
     ------
     ValueError
-        If it is empty.
+        If a rectangle is empty.
     """
+    if isinstance(area_m, shapely.Geometry):
+        return 1e-6 * float(shapely.area(area_m)) or float("nan")
     west, south, east, north = area_m
     if not (west < east and south < north):
         raise ValueError(f"`area_m` must be (west, south, east, north) and not empty, got {tuple(area_m)}")
@@ -91,7 +101,7 @@ class EpochScore:
     time_s
         Epoch; NaN if unknown. [s]
     area_km2
-        Area of the window. [km²]
+        Size of the area; NaN if it is empty. [km²]
     """
 
     vehicle_ids: Int[Array, "vehicle"]
@@ -127,7 +137,7 @@ class EpochScore:
 def score_epoch(
     tracks: xr.Dataset,
     truth: xr.Dataset,
-    area_m: AreaM,
+    area_m: Area,
     match_distance_m: float = MATCH_DISTANCE_M,
     moving_speed_m_s: float = MOVING_SPEED_M_S,
     visible_fraction: float = VISIBLE_FRACTION,
@@ -140,7 +150,7 @@ def score_epoch(
     tracks, truth
         Datasets of the schemas ``tracks`` and ``truth``; the truth may have ``visible_fraction``. [m]
     area_m
-        Area of interest (west, south, east, north), its edges included. [m]
+        Scored area: west, south, east, north, or a polygon; edges included. [m]
     match_distance_m
         Maximum distance of a track from its vehicle. [m]
     moving_speed_m_s
@@ -157,9 +167,10 @@ def score_epoch(
     """
     schema.check(tracks, "tracks")
     schema.check(truth, "truth")
-    vehicles = vehicles_of(truth, ids_of(truth, "vehicle"), area_m, moving_speed_m_s, visible_fraction)
+    every, inside = ids_of(truth, "vehicle"), is_in_area(truth, area_m)
+    vehicles = vehicles_of(truth, every, inside, moving_speed_m_s, visible_fraction)
     ids = ids_of(tracks, "track")
-    return match_epoch(ids, positions_of(tracks), vehicles, match_distance_m, time_s, window_km2(area_m))
+    return match_epoch(ids, positions_of(tracks), vehicles, match_distance_m, time_s, area_m)
 
 
 @dataclass(frozen=True)
@@ -188,12 +199,11 @@ class Vehicles:
 def vehicles_of(
     truth: xr.Dataset,
     ids: Int[Array, "vehicle"],
-    area_m: AreaM,
+    inside: Bool[Array, "vehicle"],
     moving_speed_m_s: float = MOVING_SPEED_M_S,
     visible_fraction: float = VISIBLE_FRACTION,
 ) -> Vehicles:
-    """Select what scores need of the truth; arguments of `score_epoch`."""
-    inside = is_in_window(truth, area_m)
+    """Select what scores need of the truth, and whether each vehicle is inside; see `score_epoch`."""
     should = inside & is_moving(truth, moving_speed_m_s)
     return Vehicles(ids, positions_of(truth), should, should & is_visible(truth, visible_fraction), inside)
 
@@ -204,7 +214,7 @@ def match_epoch(
     vehicles: Vehicles,
     match_distance_m: float,
     time_s: float,
-    area_km2: float,
+    area_m: Area,
 ) -> EpochScore:
     """Match the arrays of one epoch; see `score_epoch`."""
     v, should = vehicles.place_m, vehicles.should
@@ -223,11 +233,13 @@ def match_epoch(
     valid[rows] = should[columns]
     excused = np.zeros(len(track_m), bool)
     excused[near[~should[near[:, 1]], 0]] = True
+    if isinstance(area_m, shapely.Geometry):
+        excused |= ~contains(area_m, track_m)
     return EpochScore(
         vehicle_ids=vehicles.ids, track_ids=track_ids, should=should, visible=vehicles.visible,
         inside=vehicles.inside, matched_track=matched_track, matched_vehicle=matched_vehicle,
         distance_m=matched_distance, valid=valid, false=~matched & ~excused, near=near,
-        time_s=float(time_s), area_km2=area_km2,
+        time_s=float(time_s), area_km2=area_km2(area_m),
     )  # fmt: skip
 
 

@@ -71,6 +71,8 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
     caption, bars = budget_bars(result)
     azimuth_deg = None if result.case is None else sun_angles_deg(result.case)[1]
     facts = {"case": result.name} | (view_facts(result.case) if result.case is not None else {})
+    if {"frames_done", "frames_asked"} <= set(result.provenance):
+        facts["frames simulated"] = "{frames_done} of {frames_asked}".format(**result.provenance)
     accuracy = {} if result.tree is None else accuracy_lines(result.tree)
     return render_page(
         "report.html.j2",

@@ -189,10 +189,11 @@ def _track_rows(rows: xr.Dataset, times_s: Array, middle: tuple) -> dict:
 
 
 def _truth_rows(truth: xr.Dataset, times_s: Array, middle: tuple, extent: tuple) -> dict:
-    """Vehicles inside the area; ``flags`` 1 for moving, 2 for visible."""
+    """Vehicles in the scored area; ``flags`` 1 for moving, 2 for visible."""
     if not truth.sizes.get("row"):
         return {"count": 0, "vehicles": 0}
-    rows = truth.isel(row=np.flatnonzero(metrics.is_in_window(truth, extent)))
+    marked = truth["inside"].values if "inside" in truth else metrics.is_in_area(truth, extent)
+    rows = truth.isel(row=np.flatnonzero(marked))
     rows, per = _in_time(rows, times_s)
     moving, seen = metrics.is_moving(rows), metrics.is_visible(rows)
     return {

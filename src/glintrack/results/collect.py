@@ -10,19 +10,20 @@ import numpy as np
 import xarray as xr
 
 from glintrack import metrics, track
+from glintrack.case.area import ScoredArea
+from glintrack.case.design import Case
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import compilation
 from glintrack.core.records import Rows, ServedQueries, SpectralQuery
 
-Extent = tuple[float, float, float, float]  # west, south, east, north [m]
 _AT_ONCE = ("completeness_visible", "custody", "purity", "false_per_km2")
 
 
 class UnscoredFrame(NamedTuple):
-    """Truth and window of a frame, and the tracks reported without a lag."""
+    """Truth and scored area of a frame, and the tracks reported without a lag."""
 
     truth: xr.Dataset
-    extent_m: Extent
+    area_m: metrics.Area
     live: xr.Dataset
 
 
@@ -52,7 +53,7 @@ class Loop:
         queries: tuple[SpectralQuery, ...],
         tracks: xr.Dataset,
         score: metrics.EpochScore,
-        truth: tuple[xr.Dataset, Extent],
+        truth: tuple[xr.Dataset, metrics.Area],
         served: ServedQueries,
         image: xr.Dataset,
         quality: dict[str, float] | None = None,
@@ -83,7 +84,7 @@ class Loop:
         for tracks, frame in zip(reported, self.unscored, strict=False):
             score = self.at_once[len(scores)]
             if tracks is not frame.live:
-                score = metrics.score_epoch(tracks, frame.truth, frame.extent_m, time_s=score.time_s)
+                score = metrics.score_epoch(tracks, frame.truth, frame.area_m, time_s=score.time_s)
             scores.append(score)
             # the vehicle matched to each track (−1: none), and whether the track is correct or false
             columns = {"vehicle_id": score.matched_vehicle, "valid": score.valid, "false": score.false}
@@ -115,8 +116,8 @@ class Stopwatch:
 
 
 def collect(
-    name: str,
-    seed: int,
+    case: Case,
+    area: ScoredArea,
     times_s: Array,
     loops: Mapping[str, Loop],
     truths: Rows,
@@ -131,9 +132,15 @@ def collect(
     wall times of the loop's stages, and of the rendering thread's.
     """
     count = len(exposures_ms)
-    nodes: dict[str, xr.Dataset] = {}
+    nodes: dict[str, xr.Dataset] = {"/truth": truths.to_dataset()}
     for channel, loop in ((channel, loop.finish()) for channel, loop in loops.items()):
-        nodes[f"/{channel}"] = _over_time(times_s[:count], exposures_ms, loop)
+        design = loop.state.effective_design
+        learnt = min(design.count_learning_frames(case.flight.rate_hz), count)
+        nodes[f"/{channel}"] = _over_time(times_s[:count], exposures_ms, loop, learnt)
+        if area.kind != "window" and learnt < count:
+            rows = loop.tracks.to_dataset(), nodes["/truth"]
+            of_window = metrics.score_epochs(*rows, area.window, first_s=times_s[learnt])
+            nodes[f"/{channel}"].attrs["completeness_window"] = metrics.summarize(of_window)["completeness"]
         if loop.quality:
             found = {key: np.array([frame[key] for frame in loop.quality]) for key in metrics.QUALITY_UNITS}
             finite = {key: values[np.isfinite(values)] for key, values in found.items()}
@@ -141,10 +148,10 @@ def collect(
             series = _time_series(times_s[: len(loop.quality)], found, metrics.QUALITY_UNITS)
             nodes[f"/{channel}/quality"] = series.assign_attrs(means)
         nodes[f"/{channel}/tracks"] = loop.tracks.to_dataset()
-    nodes["/truth"] = truths.to_dataset()
     attributes = {
-        "case": name,
-        "seed": seed,
+        "case": case.name,
+        "seed": case.seed,
+        "area": area.kind,
         "glintrack_version": version("glintrack"),
         "frames_asked": len(times_s),
         "frames_done": count,
@@ -160,8 +167,8 @@ def collect(
     return xr.DataTree.from_dict(nodes)
 
 
-def _over_time(times_s: Array, exposures_ms: Sequence[float], loop: Loop) -> xr.Dataset:
-    """Scores of a channel over time, with the aggregate scores as attributes."""
+def _over_time(times_s: Array, exposures_ms: Sequence[float], loop: Loop, learnt: int) -> xr.Dataset:
+    """Scores of a channel over time, with the aggregate scores of the frames after learning as attributes."""
     area_km2 = np.array([s.area_km2 for s in loop.scores], float)
     valid, false = (np.array([getattr(s, of).sum() for s in loop.scores], float) for of in ("valid", "false"))
     per_epoch = {
@@ -177,13 +184,20 @@ def _over_time(times_s: Array, exposures_ms: Sequence[float], loop: Loop) -> xr.
         "queries_served": np.array(loop.served, float),
         "exposure_ms": np.array(exposures_ms, float),
     }
-    lag_s, at_once = loop.state.effective_design.reporting.effective_lag_s, {}
+    lag_s, others = loop.state.effective_design.reporting.effective_lag_s, {"learning_frames": float(learnt)}
     if lag_s:
-        live = metrics.summarize(loop.at_once)
-        at_once = {"report_lag_s": lag_s} | {f"{name}_at_once": float(live[name]) for name in _AT_ONCE}
+        live = metrics.summarize(loop.at_once[learnt:])
+        others |= {"report_lag_s": lag_s} | {f"{name}_at_once": float(live[name]) for name in _AT_ONCE}
     units = {name: "km-2" for name in per_epoch if name.endswith("km2")} | {"exposure_ms": "ms"}
-    summary = {k: float(v) for k, v in metrics.summarize(loop.scores).items()}
-    return _time_series(times_s, per_epoch, units).assign_attrs(summary | at_once)
+    summary = {k: float(v) for k, v in metrics.summarize(loop.scores[learnt:]).items()}
+    return _time_series(times_s, per_epoch, units).assign_attrs(summary | others)
+
+
+def scored_times(tree: xr.DataTree, channel: str) -> Array:
+    """Select the times of a channel's scored frames: those after the background is learnt. [s]"""
+    node = tree[channel] if channel in tree.children else xr.DataTree()
+    times_s = np.asarray(node["time"].values, float) if "time" in node.coords else np.empty(0)
+    return times_s[int(node.attrs.get("learning_frames", 0)) :]
 
 
 def _time_series(times_s: Array, values: Mapping[str, Array], units: Mapping[str, str]) -> xr.Dataset:

@@ -44,7 +44,9 @@ class TrueFrame:
     planes
         That light behind the lens on every element, over the exposure: `sensor.light_on_elements`.
     truth
-        Schema ``truth`` with ``visible_fraction``.
+        Schema ``truth`` with ``visible_fraction``; ``inside`` is 1 in the scored area.
+    area
+        The scored area. [m]
     """
 
     sensor: Sensor
@@ -55,6 +57,7 @@ class TrueFrame:
     light: Radiance
     planes: Float[Array, "plane row column"]
     truth: xr.Dataset
+    area: metrics.Area
 
     def planes_with(self, observer: Observer, again: Hits) -> Float[Array, "plane row column"]:
         """Planes with the elements with_new that were traced ``again``."""

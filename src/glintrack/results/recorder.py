@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from glintrack.camera import Pose
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
 from glintrack.core.colour import colour_channels, exposure_of, holds_colours, natural_colour
-from glintrack.core.records import Rows
+from glintrack.core.records import Radiance, Rows
 from glintrack.core.schema import RADIANCE
 from glintrack.core.spectral import band_response, channel_weights
 from glintrack.io.images import write_frame
+from glintrack.metrics import Area
 from glintrack.ortho import rectify_array
 from glintrack.render import Observer
 from glintrack.results.epoch import Epoch, SceneView, box_rows, vehicle_boxes
@@ -69,8 +71,11 @@ class Recorder:
     _queries: dict[str, Rows] = field(default_factory=dict)
     found: dict[str, list[tuple[float, Detections]]] = field(default_factory=dict)
     grid: Grid | None = None
+    areas: dict[float, Area] = field(default_factory=dict)
     _boxes: Rows = field(default_factory=Rows)
     _exposure: float | None = None
+    _recent: dict[tuple[str, int], xr.Dataset] = field(default_factory=dict)
+    _poses: dict[int, tuple[Pose, Pose]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Choose the film's frames."""
@@ -89,10 +94,15 @@ class Recorder:
     def record(self, epoch: Epoch) -> None:
         """Record one frame of one channel; the callback of `simulate`."""
         self.observer = epoch.observer
-        if epoch.index <= self.picture_index:  # the middle frame, or the last one of an interrupted flight
+        self.areas[epoch.time_s] = epoch.true_frame.area
+        seen = epoch.true_frame
+        if epoch.index == self.picture_index:
             self.shown[epoch.channel] = epoch.image
-        if epoch.index == self.picture_index and self.colour is None:
-            self.colour = self._natural_colour(epoch)
+            if self.colour is None:
+                self.colour = self._natural_colour(seen.light, seen.reported_pose)
+        self._recent[epoch.channel, epoch.index] = epoch.image  # of two frames, the last may be half done
+        self._recent.pop((epoch.channel, epoch.index - 2), None)
+        self._poses[epoch.index] = seen.true_pose, seen.reported_pose
         self._queries[epoch.channel] = self._queries.get(epoch.channel, Rows()).append(_query_rows(epoch))
         if self.grid is None:
             self.grid = grid_of(Frame(epoch.time_s, epoch.image), None)
@@ -101,13 +111,27 @@ class Recorder:
         if epoch.channel == self.case.channels[0]:
             self._note_paints(epoch)
             if self.case.output.boxes:
-                seen = epoch.true_frame
                 now = epoch.city.at(epoch.time_s)
                 frame = SceneView(epoch.observer, now, seen.truth, seen.true_pose, seen.reported_pose)
                 rows = box_rows(vehicle_boxes(frame), epoch.index, epoch.time_s)
                 self._boxes = self._boxes.append(rows)
             if epoch.index in self.film.frames:
-                self.film.add(epoch.index, epoch.time_s, epoch.image, self._ground_colour(epoch))
+                rgb = self._ground_colour(seen.light, seen.reported_pose)
+                self.film.add(epoch.index, epoch.time_s, epoch.image, rgb)
+
+    def show_last_frame(self, frames: int) -> None:
+        """End pictures and film of an interrupted flight with its last complete frame, traced again."""
+        last, observer = frames - 1, self.observer
+        if observer is None or last not in self._poses:
+            return
+        self.shown = {channel: image for (channel, k), image in self._recent.items() if k == last}
+        first_image = self.shown[self.case.channels[0]]
+        time_s, (true_pose, reported_pose) = float(first_image.attrs["time_s"]), self._poses[last]
+        light = observer.radiance(observer.observe(observer.city.at(time_s), true_pose).hits)
+        self.colour = self._natural_colour(light, reported_pose)
+        self.film.times_s.pop(frames, None)  # half a frame
+        if last not in self.film.times_s and self.film.frames:
+            self.film.add(last, time_s, first_image, self._ground_colour(light, reported_pose))
 
     @property
     def picture_index(self) -> int:
@@ -174,39 +198,33 @@ class Recorder:
         for vehicle in epoch.score.vehicle_ids.tolist():
             self.paints.setdefault(vehicle, "")
 
-    def _ground_colour(self, epoch: Epoch) -> Array | None:
+    def _ground_colour(self, light: Radiance, pose: Pose) -> Array | None:
         """Natural colour on the ground grid, exposed as the film's first frame; None in the infrared."""
-        if not holds_colours(epoch.sky.wavelength_um):
+        assert self.observer is not None
+        if not holds_colours(self.observer.sky.wavelength_um):
             return None
-        xyz, white = _xyz(epoch)
+        xyz, white = _xyz(self.observer, light)
         for axis in (0, 1):  # mean of four elements: a cell of the map is as wide as two
             before = np.concatenate([np.split(xyz, [1], axis)[0], np.split(xyz, [-1], axis)[0]], axis)
             xyz = 0.5 * (xyz + before)
-        ground = self._on_ground(epoch, xyz, self.case.ortho.gsd_m)
+        ground = _on_ground(self.observer, pose, xyz, self.case.ortho.gsd_m)
         if self._exposure is None:
             self._exposure = exposure_of(ground, white)
         colour = natural_colour(ground, white, self._exposure)
         return np.where(np.isfinite(ground).all(axis=-1, keepdims=True), colour, np.nan)
 
-    @staticmethod
-    def _on_ground(epoch: Epoch, values: Array, gsd_m: float) -> Array:
-        city = epoch.city
-        return rectify_array(
-            values, epoch.observer.camera, epoch.true_frame.reported_pose, city.terrain, gsd_m, city.extent_m
-        )
-
-    def _natural_colour(self, epoch: Epoch) -> Colour:
-        sky = epoch.sky
+    def _natural_colour(self, light: Radiance, pose: Pose) -> Colour:
+        observer = self.observer
+        assert observer is not None
+        sky = observer.sky
         band = band_response(*self.case.sensor.band_um, sky.wavelength_um)
         pan = channel_weights(sky.wavelength_um, band[None] * sky.wavelength_um)
-        polarized = dolp(epoch.true_frame.light(pan).values[:, :, 0])
-        bearings = in_view(
-            epoch.observer.camera, epoch.true_frame.reported_pose, azimuth_of(sky.sun_direction)
-        )
+        polarized = dolp(light(pan).values[:, :, 0])
+        bearings = in_view(observer.camera, pose, azimuth_of(sky.sun_direction))
         if not holds_colours(sky.wavelength_um):
             return Colour(None, None, polarized, bearings)
-        xyz, white = _xyz(epoch)
-        ground = self._on_ground(epoch, xyz, 0.5 * self.case.ortho.gsd_m)  # an element is half a superpixel
+        xyz, white = _xyz(observer, light)
+        ground = _on_ground(observer, pose, xyz, 0.5 * self.case.ortho.gsd_m)  # elements, not superpixels
         colour = natural_colour(ground, white)
         colour = np.where(np.isfinite(ground).all(axis=-1, keepdims=True), colour, np.nan)
         return Colour(natural_colour(xyz, white), colour, polarized, bearings)
@@ -238,11 +256,16 @@ class FlightPace:
         return frame_s * (self.frames - 1 - last + _END_FRAMES + _END_SHARE * self.frames)
 
 
-def _xyz(epoch: Epoch) -> tuple[Array, Array]:
+def _on_ground(observer: Observer, pose: Pose, values: Array, gsd_m: float) -> Array:
+    """Values of a frame on the ground grid of the window."""
+    city = observer.city
+    return rectify_array(values, observer.camera, pose, city.terrain, gsd_m, city.extent_m)
+
+
+def _xyz(observer: Observer, light: Radiance) -> tuple[Array, Array]:
     """XYZ radiance of a frame before the sensor, and of a white panel on the ground."""
-    channels = colour_channels(epoch.sky.wavelength_um)
-    xyz = np.ascontiguousarray(epoch.true_frame.light(channels).values[..., 0])
-    return xyz, epoch.observer.white(channels)
+    channels = colour_channels(observer.sky.wavelength_um)
+    return np.ascontiguousarray(light(channels).values[..., 0]), observer.white(channels)
 
 
 def _query_rows(epoch: Epoch) -> xr.Dataset:

@@ -13,6 +13,7 @@ import xarray as xr
 from glintrack.case.design import Case
 from glintrack.io.detections import DetectionTable
 from glintrack.metrics import MATCH_DISTANCE_M, score_epochs, score_tables, summarize
+from glintrack.metrics.rows import Areas
 from glintrack.track import (
     TrackDesign,
     TrackerState,
@@ -71,7 +72,7 @@ def flight_roc(
     found: Sequence[tuple[float, Detections]],
     truth: xr.Dataset,
     grid: Grid,
-    area_m: tuple[float, float, float, float],
+    area_m: Areas,
     thresholds: Sequence[float] | None = None,
 ) -> xr.Dataset:
     """Scores of a channel's detections over the threshold of reporting.
@@ -85,7 +86,7 @@ def flight_roc(
     truth
         ``/truth`` of the result.
     grid, area_m
-        Grid of the tracker, and west, south, east, north of the scored area. [m]
+        Grid of the tracker, and the scored area, as in `metrics.score_rows`. [m]
     thresholds
         Values in addition to the design's own; by default `ROC_FALSE_SHARE` or `ROC_SCORES`.
 
@@ -114,7 +115,9 @@ def flight_roc(
     else:
         designs = [used.replace({key: one}) for one in swept]
         rows = [_rows(report_epochs(_states(one, found, grid))) for one in designs]
-    scores = [summarize(one) for one in score_tables(rows, truth, area_m)]
+    rate_hz = case.flight.rate_hz
+    first_s = case.flight.start_s + (used.count_learning_frames(rate_hz) - 0.5) / rate_hz
+    scores = [summarize(one) for one in score_tables(rows, truth, area_m, first_s=first_s)]
     return xr.Dataset(
         {name: ("threshold", [one[name] for one in scores], {"units": "1"}) for name in _SCORES},
         coords={"threshold": ("threshold", swept, {"units": "1", "key": key})},

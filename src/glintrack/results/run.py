@@ -71,6 +71,8 @@ def run(
 
     try:
         tree = simulate(design, measure, detectors=detectors, on_image=recorder.picture)
+        if tree.attrs["interrupted"]:
+            recorder.show_last_frame(int(tree.attrs["frames_done"]))
         if budgets := steps.budgets(tree):
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in budgets.items()})
             tree = tree.assign({"bound": bound})

@@ -18,6 +18,8 @@ from glintrack.case.check import assess_case
 from glintrack.case.design import Case
 from glintrack.case.quantities import ground_view
 from glintrack.core.schema import MIN_SCORED_S
+from glintrack.metrics.requirement import MIN_FRAMES, is_too_short
+from glintrack.results.collect import scored_times
 
 CHANNEL_WORDS: Mapping[str, str] = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
 _LOSSES = {
@@ -32,9 +34,9 @@ _LOSSES = {
 }
 _MIN_IN_VIEW = 0.75  # share of the movers in the frame, below which the small field is a reservation
 _MAX_DIFFERENCE = 0.015  # between the tracker's stage and completeness, without a reservation
-_MIN_MOVERS = 15  # in the window at a time, below which shares change by a tenth with one of them
+_AREAS = {"window": "in the window", "footprint": "in the frame", "polygon": "in the scored polygon"}
+_MIN_MOVERS = 15  # in the scored area at a time, below which shares change by a tenth with one of them
 _MAX_WAIT = 0.15  # share of the frames before the first track, without a reservation
-_MIN_FRAMES = 8  # in which a track may be confirmed
 _MAX_FALSE_RATIO = 3.0  # of the share of false tracks to its limit, without a reservation
 _MEMORY = ("predicted_background", "reported_pose", "detector")  # may be lower than the stages after them
 
@@ -64,23 +66,43 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
     """
     name = select_channel(scores)
     if name is None:
-        false = {name: float(of.get("false_per_km2", math.nan)) for name, of in scores.items()}
-        rates = [
-            f"{_count(n)} in {CHANNEL_WORDS.get(name, name)}" for name, n in false.items() if math.isfinite(n)
-        ]
-        return f"No vehicle moves in the window. False tracks per km²: {', '.join(rates)}." if rates else ""
+        false = {
+            CHANNEL_WORDS.get(k, k): float(of.get("false_per_km2", math.nan)) for k, of in scores.items()
+        }
+        rates = [f"{_count(n)} in {words}" for words, n in false.items() if math.isfinite(n)]
+        said = f"No vehicle moves {_where(tree)}. False tracks per km²: {', '.join(rates)}." * bool(rates)
+        return (_undecided(tree, next(iter(scores))) + said).strip() if scores else ""
     of = scores[name]
     visible, custody, false = (
         float(of.get(k, math.nan)) for k in ("completeness_visible", "custody", "false_per_km2")
     )
     lag_s = float(_attributes(tree, name).get("report_lag_s", 0.0))
-    text = f"{_subject(name)} {_per_hundred(of['completeness'])} of 100 moving vehicles"
+    text = f"{_subject(name)} {_per_hundred(of['completeness'])} of 100 moving vehicles {_where(tree)}"
+    if "completeness_window" in _attributes(tree, name):
+        text += f" ({_per_hundred(tree[name].attrs['completeness_window'])} of 100 in the whole window)"
     text += f", {_per_hundred(visible)} of 100 visible ones" if math.isfinite(visible) else ""
     text += f", with {_count(false)} false tracks per km²" if math.isfinite(false) else ""
-    parts = [text + (f" (mean of all frames, fixed lag {lag_s:g} s)" if lag_s else " (mean of all frames)")]
+    mean_of = _frames(int(_attributes(tree, name).get("epochs", 0))) or "all frames"
+    lag = f", fixed lag {lag_s:g} s" if lag_s else ""
+    parts = [f"{_undecided(tree, name)}{text} (mean of {mean_of}{lag})"]
     if math.isfinite(custody):
         parts.append(f"One track stays on a vehicle for {_per_hundred(custody)} % of its visible time")
     return ". ".join([*parts, *_largest_loss(stage_shares(tree).get(name, {}))]) + "."
+
+
+def _undecided(tree: xr.DataTree, name: str) -> str:
+    """Sentence before the scores of a run that is too short to judge a design; else empty."""
+    scored_s = scored_times(tree, name)
+    length_s = float(np.ptp(scored_s)) if len(scored_s) else 0.0
+    left = f"{len(scored_s)} frame{'' if len(scored_s) == 1 else 's'} in {length_s:.3g} s"
+    if "learning_frames" not in _attributes(tree, name) or not is_too_short(len(scored_s), length_s):
+        return ""
+    needed = f"a verdict needs {MIN_FRAMES} frames and {MIN_SCORED_S:g} s"
+    return f"Undecided: the run is too short. After learning the background {left} are left; {needed}. "
+
+
+def _where(tree: xr.DataTree) -> str:
+    return _AREAS.get(str(tree.attrs.get("area")), _AREAS["window"])
 
 
 def describe_other_channels(scores: Mapping[str, Mapping[str, float]]) -> str:
@@ -122,7 +144,7 @@ def reservations(
     budget = stage_shares(tree).get(name, {})
     return [
         *_about_scores(tree, name, scores[name], budget),
-        *_small_field(budget, case),
+        *_small_field(tree, budget, case),
         *_about_design(tree, name, budget, scores[name], case),
         *_late_tracks(tree, name),
         *_few_movers(tree, name, case),
@@ -139,7 +161,7 @@ def budget_frames(tree: xr.DataTree) -> str:
     count = max((len(np.atleast_1d(of.attrs.get("frames", []))) for of in _budgets(tree).values()), default=0)
     if "frames_done" in tree.attrs:
         return f"{count or 'the measured'} of the {tree.attrs['frames_done']} frames"
-    return _frames(count)
+    return _frames(count) or "the measured frames"
 
 
 def stage_shares(tree: xr.DataTree) -> dict[str, dict[str, float]]:
@@ -239,12 +261,12 @@ def _about_scores(
     if share is not None and abs(share - float(of["completeness"])) > _MAX_DIFFERENCE:
         yield (
             f"The loss budget uses {budget_frames(tree)}, with {_per_hundred(share)} of 100 moving vehicles "
-            "tracked. The scores use all frames, also the first ones, in which the background is learnt."
+            "tracked. The scores use all frames after the background is learnt."
         )
 
 
-def _small_field(budget: Mapping[str, float], case: Case | None) -> Iterator[str]:
-    if case is None:
+def _small_field(tree: xr.DataTree, budget: Mapping[str, float], case: Case | None) -> Iterator[str]:
+    if case is None or tree.attrs.get("area") == "footprint":
         return
     (across, along), seen = ground_view(case)[1], budget.get("in_view")
     if seen is not None:
@@ -255,9 +277,10 @@ def _small_field(budget: Mapping[str, float], case: Case | None) -> Iterator[str
         seen, outside = min(across * along / math.prod(case.scene.size_m), 1.0), ", less than the window"
     if seen < _MIN_IN_VIEW:
         yield (
-            f"The array sees about {across:.0f} m × {along:.0f} m of ground{outside}. The scores are of the "
-            "whole window. To compare pitches or focal lengths over one field, change `sensor.rows` and "
-            "`sensor.columns` with them (in a study: `constraints.constant_field = true`)."
+            f"The array sees about {across:.0f} m × {along:.0f} m of ground{outside}. The scores are of all "
+            f'vehicles {_where(tree)}; `scene.area = "footprint"` scores those in the frame. To compare '
+            "pitches or focal lengths over one field, change `sensor.rows` and `sensor.columns` with them "
+            "(in a study: `constraints.constant_field = true`)."
         )
 
 
@@ -288,19 +311,13 @@ def _about_design(
 
 
 def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
-    if name not in tree.children or "completeness" not in tree[name]:
-        return
-    shares = np.asarray(tree[name]["completeness"].values, float)
-    empty = int(np.argmax(shares > 0)) if (shares > 0).any() else len(shares)
-    if empty == len(shares):
-        times_s = np.asarray(tree[name]["completeness"]["time"].values, float)
-        early = empty <= _MIN_FRAMES or np.ptp(times_s) < MIN_SCORED_S
-        why = ": the background is learnt for some seconds before tracks are initiated" if early else ""
-        yield f"No track was correct in {_frames(empty)}{why}."
-    elif empty >= _MAX_WAIT * len(shares):
+    count = len(scored_times(tree, name))
+    found = np.asarray(tree[name]["completeness"].values, float)[-count:] > 0 if count else np.empty(0)
+    empty = int(np.argmax(found)) if found.any() else 0  # without any, the verdict is 0 of 100
+    if empty > _MAX_WAIT * len(found):
         yield (
-            f"The first track was confirmed after {empty} of the {len(shares)} frames, in which all vehicles "
-            "count as missed. A longer flight gives a higher completeness."
+            f"The first track was confirmed after {empty} of the {len(found)} scored frames, in which all "
+            "vehicles count as missed. A longer flight gives a higher completeness."
         )
 
 
@@ -310,7 +327,7 @@ def _few_movers(tree: xr.DataTree, name: str, case: Case | None) -> Iterator[str
         by_file = case is not None and (case.scene.traffic_file is not None or case.scene.city == "mesh")
         more = "" if by_file else " A smaller `scene.traffic_insertion_period_s` gives more traffic."
         they = "vehicle moves" if round(movers) == 1 else "vehicles move"
-        yield f"Only {movers:.0f} {they} in the window at a time: shares are not precise.{more}"
+        yield f"Only {movers:.0f} {they} {_where(tree)} at a time: shares are not precise.{more}"
 
 
 def _subject(channel: str) -> str:
@@ -325,7 +342,7 @@ def _attributes(tree: xr.DataTree, name: str) -> Mapping[Any, Any]:
 
 
 def _frames(count: int) -> str:
-    return f"{count} frame{'s' if count > 1 else ''}" if count else "the measured frames"
+    return f"{count} frame{'s' if count > 1 else ''}" if count else ""
 
 
 def _count(value: float) -> str:

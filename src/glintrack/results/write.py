@@ -175,9 +175,9 @@ def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
         nodes[f"{channel}/queries"] = recorder.queries(channel)
         nodes[f"{channel}/detections"] = recorder.detections(channel)
         if recorder.observer is not None and recorder.grid is not None:
-            found, area_m = recorder.found.get(channel, []), recorder.observer.city.extent_m
+            found, area_of = recorder.found.get(channel, []), recorder.areas.__getitem__
             truth = _node(tree, "truth")
-            nodes[f"{channel}/roc"] = flight_roc(recorder.case, channel, found, truth, recorder.grid, area_m)
+            nodes[f"{channel}/roc"] = flight_roc(recorder.case, channel, found, truth, recorder.grid, area_of)
     nodes["vehicles"] = recorder.vehicles()
     return xr.DataTree.from_dict(nodes)
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
+from shapely import Polygon
 
 from glintrack.core.designs import Design
 from glintrack.core.records import Extent
@@ -12,6 +13,8 @@ from glintrack.io.untrusted import resolve_path
 
 DEFAULT_SIZE_M = (660.0, 420.0)  # of the embedded tile, whose traffic is shipped
 LARGEST_M2 = 4e6
+LARGEST_SIDE_M = 20_000.0
+MAX_CORNERS = 1000
 DEFAULT_RELIEF_M = 6.0
 SHIPPED_DURATION_S = 120.0
 SUMO_PREFIX = "sumo:"
@@ -65,11 +68,16 @@ class SceneDesign(Design):
     """Seed of roofs, trees, parked vehicles and paints; not of the traffic."""
     trees: float = Field(default=1.0, ge=0, le=1)
     """Share of the city's trees that are planted. `true` is all, `false` none."""
-    width_m: float | None = Field(default=None, ge=50, le=20000)
+    width_m: float | None = Field(default=None, ge=50, le=LARGEST_SIDE_M)
     """Width of the window, west to east; 660 by default, for a mesh its own. An embedded city of another size
     gets its own streets, and its traffic from SUMO."""
-    height_m: float | None = Field(default=None, ge=50, le=20000)
-    """Height of the window, south to north; 420 by default, for a mesh its own."""
+    height_m: float | None = Field(default=None, ge=50, le=LARGEST_SIDE_M)
+    """Height of the window, south to north; 420 by default, for a mesh its own. Without both
+    sizes the window grows to the ground in the frame, if most of that lies beyond the city."""
+    area: Literal["window", "footprint"] | tuple[tuple[Coordinate, Coordinate], ...] | None = None
+    """Area whose vehicles are scored: the window, the ground of it in each frame (footprint), or a polygon of
+    [east, north] corners, ENU. By default the window, or the footprint if less than 75 % of the window is in
+    the frame."""
     centre_m: tuple[Coordinate, Coordinate] | None = None
     """Middle of the window in the network's coordinates; by default where the network is densest."""
     net_file: FileName | None = None
@@ -133,6 +141,13 @@ class SceneDesign(Design):
             raise ValueError(
                 f"`scene.crs` and `scene.origin_m` must be given together, got {self.crs} and {self.origin_m}"
             )
+        if isinstance(self.area, tuple):
+            shape = Polygon(self.area) if 3 <= len(self.area) <= MAX_CORNERS else Polygon()
+            if not (shape.is_valid and shape.area):
+                raise ValueError(
+                    f"`scene.area` must have 3 to {MAX_CORNERS:,} corners in their order around an area; "
+                    f"got {len(self.area):,} that bound none."
+                )
         if self.relief_m and (self.dem_file or self.city != "embedded"):
             raise ValueError("`scene.relief_m` must be 0 but for an embedded city without a dem_file")
         if self.city == "braunschweig" and self.size_m != DEFAULT_SIZE_M:

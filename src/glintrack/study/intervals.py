@@ -71,7 +71,7 @@ def units(table: pd.DataFrame, axes: Sequence[str], response: str, channel: str)
     ):
         series = json.loads(text).get(response)
         parts = np.array([mean], dtype=float)
-        if series is not None:
+        if series:
             series = np.array(series, dtype=float)
             split = np.array_split(series, min(PARTS, len(series)))
             parts = np.array([np.nanmean(p) if np.isfinite(p).any() else np.nan for p in split])

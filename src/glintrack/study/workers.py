@@ -146,7 +146,9 @@ def scores(case: Case, tree: xr.DataTree, channel: str) -> dict[str, Any]:
     found["data_rate_mbit_s"] = 1e-6 * bits_per_frame * case.flight.rate_hz
     names = ("completeness", "completeness_visible", "held_per_km2", "false_per_km2")
     over_time = {**dict(zip(names, names, strict=True)), "false_per_epoch": "false_tracks"}
-    found["over_time"] = {name: np.asarray(node[source]).tolist() for name, source in over_time.items()}
+    found["epochs"] = float(node.sizes["time"])  # simulated ones
+    scored = slice(int(node.attrs["learning_frames"]), None)
+    found["over_time"] = {name: np.asarray(node[of])[scored].tolist() for name, of in over_time.items()}
     return found
 
 

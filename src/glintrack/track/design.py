@@ -27,6 +27,10 @@ _IGNORED_KEYS = {
 }
 
 
+# Frames and time [s] in which a detector learns the background, before it detects anything.
+LEARNING = {"mosaic": (2, 0.75), "median-motion": (2, 0.35)}
+
+
 class DetectDesign(Design):
     """Detector and searched channel; the ``[track.detect]`` table."""
 
@@ -246,6 +250,12 @@ class TrackDesign(Design):
                         f"got {found!r} ({choice} = {other!r} uses it)"
                     )
         return self
+
+    def count_learning_frames(self, rate_hz: float) -> int:
+        """Count the first frames of a case in which the background is learnt, and no track can exist."""
+        name = self.detect.detector
+        frames, duration_s = LEARNING["mosaic" if name == "auto" else name]
+        return max(frames, math.ceil(duration_s * rate_hz - 1e-9))
 
     def effective(self, has_likelihood_ratio: bool) -> "TrackDesign":
         """Design in use for one kind of detections, for the tracker and for what is compared with it.

@@ -128,8 +128,10 @@ def show_legend(ax: Axes) -> None:
 
 
 def missed_rows(truth: xr.Dataset, rows: xr.Dataset, time_s: float) -> Array:
-    """Return True for each row of a truth at a time with a vehicle without a true track."""
+    """Return True for each row of a truth at a time with a scored vehicle without a true track."""
     now = np.isclose(truth["time_s"].values, time_s)
+    if "inside" in truth:
+        now &= truth["inside"].values.astype(bool)
     if {"vehicle_id", "valid"} <= set(rows.variables):
         on = np.isclose(rows["time_s"].values, time_s) & (rows["valid"].values > 0)
         now &= ~np.isin(truth["vehicle_id"].values, rows["vehicle_id"].values[on])
