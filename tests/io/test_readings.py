@@ -5,6 +5,7 @@ from rich.console import Console
 
 from glintrack.cli import app
 from glintrack.cli.options import print_readings
+from glintrack.io.detections import read_truth
 from glintrack.io.readings import Reading, collect_readings, report_reading
 
 
@@ -48,3 +49,13 @@ def test_a_command_ends_with_what_was_read(monkeypatch, capsys, tmp_path):
     assert end.value.code == 0
     assert "13 detections" in said.rpartition("What was read")[2]
     assert "1: outside -9 -9 200 9 m" in said.rpartition("What was read")[2]
+
+
+def test_identities_may_be_texts(tmp_path):
+    rows = [(t, name, 10.0 * t, k) for k, name in enumerate(("flow.1", "bus 7")) for t in range(3)]
+    text = "".join(f"{t},{name},{x},{y}\n" for t, name, x, y in rows)
+    (tmp_path / "truth.csv").write_text("time_s,vehicle_id,east_m,north_m\n" + text)
+    assert read_truth(tmp_path / "truth.csv")["vehicle_id"].values.tolist() == [0, 0, 0, 1, 1, 1]
+    (tmp_path / "truth.csv").write_text("time_s,vehicle_id,east_m,north_m\n" + text + "2,bus 7,1,1\n")
+    with pytest.raises(ValueError, match="`vehicle_id` must appear once an epoch"):
+        read_truth(tmp_path / "truth.csv")

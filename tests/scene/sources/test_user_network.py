@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pyproj
 import pytest
 import shapely
 import shapely.affinity
@@ -11,7 +12,7 @@ from shapely.geometry import Polygon
 
 from glintrack.core import schema
 from glintrack.core.installation import MissingExtraError
-from glintrack.scene import SceneDesign, build_scene
+from glintrack.scene import SceneDesign, build_scene, record_traffic
 from glintrack.scene.objects.surfaces import Lane, RoadNetwork, road_areas
 from glintrack.scene.read.polygons import Footprint, Polygons
 from glintrack.scene.read.sumo import sumo_home
@@ -56,6 +57,23 @@ def test_a_network_with_its_own_traffic_needs_no_sumo(files, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(files))  # built anew, not read
     again = build_scene(tiny(files))
     assert again.static.vertices.tobytes() == city.static.vertices.tobytes()
+
+
+def test_traffic_in_degrees_is_projected_where_the_city_has_a_place(files):
+    east, north = 604_000.0, 5_790_000.0  # of the window's centre, (50, 0) in the network
+    to_degrees = pyproj.Transformer.from_crs("EPSG:32632", 4326, always_xy=True)
+    rows = [(t, *to_degrees.transform(east - 35 + 10 * t, north - 1.6)) for t in range(4)]
+    head = "timestep_time;vehicle_id;vehicle_x;vehicle_y\n"
+    (files / "g.csv").write_text(head + "\n".join(f"{t};a;{x:.8f};{y:.8f}" for t, x, y in rows))
+    keys = {"traffic_file": str(files / "g.csv")}
+    traffic = record_traffic(tiny(files, crs="EPSG:32632", origin_m=(east, north), **keys)).traffic
+    assert traffic.bumper_east.tolist() == pytest.approx([15, 25, 35, 45], abs=0.01)
+    assert np.degrees(traffic.angle) == pytest.approx(90, abs=0.01)
+    with pytest.raises(ValueError, match="look like degrees"):
+        record_traffic(tiny(files, **keys))
+    (files / "far.xml").write_text(FCD.replace('y="-1.6', 'y="9000'))
+    with pytest.raises(ValueError, match=r"`far.xml` must have a vehicle in the window"):
+        record_traffic(tiny(files, traffic_file=str(files / "far.xml")))
 
 
 def test_polygons_become_buildings(files):
