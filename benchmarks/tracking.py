@@ -244,7 +244,7 @@ def row(name: str, epochs: Epochs, measured: list[np.ndarray], tracker: Tracker)
     scores = score(epochs, reports)
     return {
         "name": name, "value": float(np.median(times[3:])), "unit": "ms", "frames": len(epochs),
-        **{k: scores[k] for k in ("completeness", "purity", "false_per_epoch", "identity_switches")},
+        **{k: scores[k] for k in ("completeness", "purity", "false_per_frame", "identity_switches")},
     }  # fmt: skip
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from glintrack import Case
 from glintrack.case.build import trace_frame
 from glintrack.case.packaged import find_case
-from glintrack.sensor import boost, build_sensor, detector_readout, expose, serve
+from glintrack.sensor import array_readout, boost, build_sensor, expose, serve
 from glintrack.stokes import dolp
 
 FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
@@ -80,7 +80,7 @@ for polarizer in ("ideal", "grid_b", "grid_a", "grid_b_physical"):
 # The superpixel, what the elements read over a car park, and what becomes of it: pan and DoLP.
 
 frame, sensor = exposed(polarizer="grid_b")
-raw = detector_readout(light(sensor.channels).values, sensor, np.random.default_rng(1))
+raw = array_readout(light(sensor.channels).values, sensor, np.random.default_rng(1))
 degree = dolp(frame["stokes_radiance"].values, frame.attrs["dolp_floor"])
 top, left = np.array(degree.shape) // 2 - (8, 60)  # the car park
 window = (slice(top, top + 40), slice(left, left + 60))

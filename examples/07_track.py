@@ -65,7 +65,7 @@ def row(name, scores):
     """One line of the table of scores."""
     values = scores["completeness"], scores["completeness_visible"], scores["purity"]
     shares = "".join(f"{value:13.3f}" for value in values)
-    return f"{name:14s}{shares}{scores['false_per_epoch']:13.1f}"
+    return f"{name:14s}{shares}{scores['false_per_frame']:13.1f}"
 
 
 print(f"{'change in':14s}{'completeness':>13s}{'of visible':>13s}{'purity':>13s}{'false tracks':>13s}")

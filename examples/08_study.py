@@ -82,7 +82,7 @@ print(
 # A row a point and channel, with its levels and scores; the same on any number of workers.
 
 table, source = read_results(folder.path)
-scores = ["completeness", "completeness_visible", "purity", "false_per_epoch"]
+scores = ["completeness", "completeness_visible", "purity", "false_per_frame"]
 table[["flight.off_nadir_deg", "navigator", "channel", *scores]].round(3)
 
 # %%

@@ -60,7 +60,7 @@ def check(function):
 def _refuse_misfit(value, annotation, name: str) -> None:
     if not _fits(value, annotation):
         came = f"{getattr(value, 'dtype', type(value).__name__)}{list(getattr(value, 'shape', ()))}"
-        raise TypeError(f"`{name}` must be {annotation}, got {came}")
+        raise TypeError(f"`{name}` must be {annotation}; got {came}")
 
 
 def _fits(value, annotation) -> bool:

@@ -194,18 +194,18 @@ def test_rotations_are_orthonormal_and_right_handed(heading, roll, pitch, azimut
 @pytest.mark.parametrize("value", [0, -1, math.inf, math.nan])
 def test_camera_refuses_what_is_not_positive(name, value):
     design = {"focal_length_m": 0.07, "pitch_m": 1e-5, "rows": 4, "columns": 6, name: value}
-    with pytest.raises(ValueError, match=f"`{name}` must be positive, got {value}"):
+    with pytest.raises(ValueError, match=f"`{name}` must be positive; got {value}"):
         Camera(**design)
 
 
 def test_pose_refuses_what_is_not_a_number():
-    with pytest.raises(ValueError, match=r"`pose\.roll_rad` must be finite, got nan"):
+    with pytest.raises(ValueError, match=r"`pose\.roll_rad` must be finite; got nan"):
         Pose(0.0, 0.0, 1.0, roll_rad=math.nan)
 
 
 def test_pose_is_true_or_reported():
     assert Pose(0.0, 0.0, 1.0).kind == "true"
-    with pytest.raises(ValueError, match=r"`pose\.kind` must be 'true' or 'reported', got 'guessed'"):
+    with pytest.raises(ValueError, match=r"`pose\.kind` must be 'true' or 'reported'; got 'guessed'"):
         Pose(0.0, 0.0, 1.0, kind="guessed")
 
 

@@ -143,7 +143,7 @@ def test_a_passive_element_keeps_light_physical(passed, blocked, angle, retardan
 @pytest.mark.parametrize("value", [-0.01, 1.01, math.nan])
 def test_a_transmittance_beyond_0_to_1_is_named(name, value):
     design = {"pass_transmittance": 0.9, "block_transmittance": 0.1, name: value}
-    with pytest.raises(ValueError, match=rf"`{name}` must be .*\[0, 1\], got {value}"):
+    with pytest.raises(ValueError, match=rf"`{name}` must be .*\[0, 1\]; got {value}"):
         linear_diattenuator(**design)
 
 

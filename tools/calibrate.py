@@ -87,7 +87,7 @@ ONE_SENSOR = (
 VARIANTS = (
     ("flight.frames=24",),
     ("flight.frames=24", "sensor.pitch_um=8.5", "sensor.rows=1120", "sensor.columns=1760", *ONE_SENSOR),
-    ("flight.frames=60", "flight.rate_hz=10", "sensor.clock_hz=10"),
+    ("flight.frames=60", "flight.rate_hz=10", "sensor.max_frame_rate_hz=10"),
 )
 SETTLED_S = 4.0  # before it the ground is still being learnt
 LIKELY = 3.0  # nat from which a peak's place counts among the residuals

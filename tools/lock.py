@@ -57,7 +57,7 @@ def check() -> None:
         chosen = pins(compile_pins("--python-version", python, "-c", CONSTRAINTS.name))
         if loose := chosen - known:
             names = ", ".join(sorted(f"{name} {version}" for name, version in loose))
-            sys.exit(f"constraints.txt must pin all that Python {python} installs, got none for {names}")
+            sys.exit(f"constraints.txt must pin all that Python {python} installs; got none for {names}")
         print(f"constraints.txt resolves for Python {python}: {len(chosen)} packages")
 
 

@@ -34,7 +34,7 @@ def _picture(result: Path, name: str) -> Image.Image:
     """One of a run's pictures, as wide as a column."""
     path = picture_file(result, name)
     if path is None:
-        raise ValueError(f"`RESULT` must hold pictures/{name}.png, got none in {result}")
+        raise ValueError(f"`RESULT` must hold pictures/{name}.png; got none in {result}")
     with Image.open(path) as stored:
         picture = stored.convert("RGB")
     height = round(WIDTH_PX * picture.height / picture.width)

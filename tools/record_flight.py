@@ -27,7 +27,7 @@ from glintrack.dataset.plan import STANDARD_CITIES
 from glintrack.loop import frame_rngs, simulate
 from glintrack.ortho import orthorectify
 from glintrack.results.epoch import Epoch
-from glintrack.sensor import build_sensor, detector_readout, frame_of, mosaic_of, serve, smear
+from glintrack.sensor import array_readout, build_sensor, frame_of, mosaic_of, serve, smear
 from glintrack.track.detect.detections import no_detections
 
 SENSORS = ("own", "unpolarized", "pan")
@@ -98,7 +98,7 @@ def record_case(case: Case) -> Recording:
             sensor = built.get(name, true_frame.sensor)
             light = smear(true_frame.light, true_frame.motion)(sensor.channels).values
             kept.setdefault("cameras", {})[name] = sensor.camera
-            measured = detector_readout(light, sensor, frame_rngs(case.seed, epoch.index).noise)
+            measured = array_readout(light, sensor, frame_rngs(case.seed, epoch.index).noise)
             served = serve((), sensor, pose)
             frame = frame_of(measured, sensor, served, epoch.time_s)
             image = orthorectify(

@@ -171,7 +171,7 @@ def tracking_rows(quick: bool) -> Iterator[Row]:
         print("Stone Soup is not installed", file=sys.stderr)
     for name, tracker in trackers.items():
         found = tracking.row(name, epochs, measured, tracker)
-        for quantity in ("completeness", "purity", "false_per_epoch", "identity_switches"):
+        for quantity in ("completeness", "purity", "false_per_frame", "identity_switches"):
             yield Row("given detections", name, "", quantity, float(found[quantity]))
 
 

@@ -63,5 +63,5 @@ for (_, before, *_), (_, now, truth, area_m) in itertools.pairwise(frames):
     earlier, tracks = tracks, follow(tracks, detect(before, now), names)
     scores.append(metrics.score_epoch(as_tracks(tracks, earlier, 0.5), truth, area_m))
 mine = metrics.summarize(scores)
-for name in ("completeness", "purity", "false_per_epoch", "identity_switches"):
+for name in ("completeness", "purity", "false_per_frame", "identity_switches"):
     print(f"{name:18s} mine {mine[name]:8.3f}   glintrack's {theirs[name]:8.3f}")

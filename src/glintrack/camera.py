@@ -1,6 +1,6 @@
-"""Camera, pose and collinearity: the only place where rotations between world and detector are built.
+"""Camera, pose and collinearity: the only place where rotations between world and detector array are built.
 
-World is ENU (X east, Y north, Z up, metres). The detector's axes are x = image right, y = image up,
+World is ENU (X east, Y north, Z up, metres). The array's axes are x = image right, y = image up,
 z = backward along the optical axis, so that with all angles zero they coincide with ENU: the camera looks
 straight down and image up is north. Implements Eqs. (4)–(6) of Presnar et al. (2010).
 """
@@ -48,7 +48,7 @@ class Camera:
         for name in ("focal_length_m", "pitch_m", "rows", "columns"):
             value = getattr(self, name)
             if not (value > 0 and math.isfinite(value)):
-                raise ValueError(f"`{name}` must be positive, got {value}")
+                raise ValueError(f"`{name}` must be positive; got {value}.")
         for name, count in (("principal_row", self.rows), ("principal_column", self.columns)):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, (count - 1) / 2)
@@ -66,8 +66,8 @@ class Camera:
         x, y = self._tangents((ring + 0.5) * (self.rows, self.columns) - 0.5)
         if not np.isfinite(x + y).all():
             raise ValueError(
-                "`distortion` must image each place of the array from one direction, got coefficients that "
-                f"fold the picture within it: {', '.join(f'{k} = {v:g}' for k, v in distortion)}"
+                "`distortion` must image each place of the array from one direction; got "
+                f"{', '.join(f'{k} = {v:g}' for k, v in distortion)}, which fold the picture within it."
             )
 
     @property
@@ -125,9 +125,9 @@ class Pose:
         """Refuse a pose that is not a number: it would spread through every pixel."""
         for name, value in vars(self).items():
             if name != "kind" and not math.isfinite(value):
-                raise ValueError(f"`pose.{name}` must be finite, got {value}")
+                raise ValueError(f"`pose.{name}` must be finite; got {value}.")
         if self.kind not in ("true", "reported"):
-            raise ValueError(f"`pose.kind` must be 'true' or 'reported', got {self.kind!r}")
+            raise ValueError(f"`pose.kind` must be 'true' or 'reported'; got {self.kind!r}.")
 
     @property
     def position(self) -> Float[Array, "3"]:
@@ -154,9 +154,9 @@ def _tilt(angle_rad: float) -> Float[Array, "3 3"]:
 
 
 def rotation(pose: Pose) -> Float[Array, "3 3"]:
-    """Matrix m from ENU to the detector's axes, Eq. (6): heading, then roll, then pitch, then gimbal.
+    """Matrix m from ENU to the array's axes, Eq. (6): heading, then roll, then pitch, then gimbal.
 
-    Its rows are the detector's x (image right), y (image up) and z (backward) axes in ENU. [1]
+    Its rows are the array's x (image right), y (image up) and z (backward) axes in ENU. [1]
     """
     airframe = _tilt(pose.pitch_rad) @ _bank(pose.roll_rad) @ _turn(pose.heading_rad)
     gimbal = _tilt(math.pi / 2 - pose.gimbal_depression_rad) @ _turn(pose.gimbal_azimuth_rad)
@@ -180,7 +180,7 @@ def look_at(pose: Pose, target_enu: ArrayLike) -> Pose:
     airframe = rotation(Pose(0, 0, 0, pose.heading_rad, pose.roll_rad, pose.pitch_rad))
     x, y, z = airframe @ (np.asarray(target_enu, dtype=float) - pose.position)
     if x == y == z == 0:
-        raise ValueError("`target_enu` must differ from the lens centre, got the same point")
+        raise ValueError("`target_enu` must differ from the lens centre; got the same point.")
     across = math.hypot(x, y)
     azimuth = math.atan2(x, y) if across > 0 else 0.0
     return Pose(
@@ -202,7 +202,7 @@ def with_rotation(pose: Pose, matrix: Float[Array, "3 3"]) -> Pose:
     pose
         Its place, gimbal and kind stay.
     matrix
-        From ENU to the detector's axes, a proper rotation. [1]
+        From ENU to the array's axes, a proper rotation. [1]
 
     Raises
     ------
@@ -211,7 +211,7 @@ def with_rotation(pose: Pose, matrix: Float[Array, "3 3"]) -> Pose:
     """
     m = np.asarray(matrix, dtype=float)
     if m.shape != (3, 3) or not (np.allclose(m @ m.T, np.eye(3), atol=1e-6) and np.linalg.det(m) > 0):
-        raise ValueError(f"`matrix` must be a rotation, got one that is not: {m.tolist()}")
+        raise ValueError(f"`matrix` must be a rotation; got {m.tolist()}.")
     gimbal = rotation(replace(pose, heading_rad=0.0, roll_rad=0.0, pitch_rad=0.0))
     m = gimbal.T @ m
     return replace(

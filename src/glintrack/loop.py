@@ -140,7 +140,7 @@ def _start_trackers(
     if trackers is None:
         trackers = {channel: case.track.replace({"detect.channel": channel}) for channel in case.channels}
     if unknown := sorted(set(detectors) - set(trackers)):
-        raise ValueError(f"`detectors` must name channels ({', '.join(trackers)}), got {unknown[0]!r}")
+        raise ValueError(f"`detectors` must name channels ({', '.join(trackers)}); got {unknown[0]!r}.")
     return {
         name: Loop(track.start(design, case.seed, run.ground["lanes"], detectors.get(name)))
         for name, design in trackers.items()

@@ -192,7 +192,7 @@ def linear_diattenuator(
         ("block_transmittance", block_transmittance),
     ):
         if not 0 <= value <= 1:
-            raise ValueError(f"`{name}` must be an irradiance transmittance in [0, 1], got {value}")
+            raise ValueError(f"`{name}` must be an irradiance transmittance in [0, 1]; got {value}.")
     both = 0.5 * (pass_transmittance + block_transmittance)
     difference = 0.5 * (pass_transmittance - block_transmittance)
     geometric = math.sqrt(pass_transmittance * block_transmittance)
@@ -211,5 +211,5 @@ def apply(mueller: Float[Array, "... n n"], stokes: ArrayLike) -> Float[Array, "
 def _stokes_array(stokes: ArrayLike) -> Array:
     s = np.asarray(stokes, dtype=float)
     if s.ndim == 0 or s.shape[-1] not in (3, 4):
-        raise ValueError(f"`stokes` must have 3 or 4 components on its last axis, got shape {s.shape}")
+        raise ValueError(f"`stokes` must have 3 or 4 components on its last axis; got shape {s.shape}.")
     return s

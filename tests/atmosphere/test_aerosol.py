@@ -63,7 +63,7 @@ def test_removing_the_peak_keeps_what_is_scattered_aside():
 
 
 def test_unknown_aerosol_is_named():
-    with pytest.raises(ValueError, match="`aerosol` must be one of clear, maritime, urban, got 'fog'"):
+    with pytest.raises(ValueError, match="`aerosol` must be one of clear, maritime, urban; got 'fog'"):
         aerosol_optics("fog", UM)
 
 

@@ -15,13 +15,13 @@ ONE_ARC_MINUTE = np.radians(1 / 60)
     [
         ({"visibility_km": -3}, "-3"),
         ({"aerosol": "smog"}, "smog"),
-        ({"wavelengths_um": (0.3, 0.5)}, "`wavelengths_um` must lie within 0.4 to 2.5 µm, got 0.3"),
+        ({"wavelengths_um": (0.3, 0.5)}, "`wavelengths_um` must lie within 0.4 to 2.5 µm; got 0.3"),
         ({"wavelength_stop_um": 3.0}, "got 3"),
         ({"sun_zenith_deg": 95, "sun_azimuth_deg": 0}, "got 95"),
         ({"sun_zenith_deg": 30}, "`sun_zenith_deg` must be given with `sun_azimuth_deg`"),
         ({"visibility_km": 23, "aod_550": 0.2}, "`visibility_km` must not be given together with `aod_550`"),
         ({"altitudes_m": (100.0,)}, "`altitudes_m` must rise within 500 to 20000 m"),
-        ({"streams": 15}, "`streams` must be even, got 15"),
+        ({"streams": 15}, "`streams` must be even; got 15"),
         ({"water_cm": -1}, "got -1"),
     ],
 )

@@ -101,7 +101,7 @@ def test_one_direction_is_one_row_of_many():
 def test_out_of_range_is_named():
     with pytest.raises(ValueError, match=r"`view_zenith_rad` must lie within 0 to 1.5"):
         path_stokes(tables(), 3000.0, 1.56, 0.0)
-    with pytest.raises(ValueError, match="`altitude_m` must lie within 3000 to 3000, got 100"):
+    with pytest.raises(ValueError, match="`altitude_m` must lie within 3000 to 3000; got 100"):
         path_stokes(tables(), 100.0, 0.1, 0.0)
     with pytest.raises(ValueError, match="`looking` must be 'up' or 'down'"):
         to_fixed_azimuth_frame(np.ones(3), np.zeros(()), "sideways")

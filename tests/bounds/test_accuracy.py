@@ -119,7 +119,7 @@ def test_the_reduction_is_the_curvature_of_the_scans_likelihood(probability, clu
 
 def test_bad_input_is_one_sentence():
     rng = np.random.default_rng(0)
-    with pytest.raises(ValueError, match=r"`detection_probability` must lie within 0 and 1, got 1.2"):
+    with pytest.raises(ValueError, match=r"`detection_probability` must lie within 0 and 1; got 1.2"):
         information_reduction(1.2, 0.0, rng)
-    with pytest.raises(ValueError, match="`clutter` must be at least 0, got -1"):
+    with pytest.raises(ValueError, match="`clutter` must be at least 0; got -1"):
         information_reduction(0.5, -1.0, rng)

@@ -122,7 +122,7 @@ def test_no_change_is_found_as_often_as_it_is_false():
 
 @pytest.mark.parametrize("false_alarm", [0.0, 0.5, -1.0])
 def test_a_false_alarm_of_nought_is_refused(false_alarm):
-    with pytest.raises(ValueError, match=r"`false_alarm` must be greater than 0 and less than 0.5, got"):
+    with pytest.raises(ValueError, match=r"`false_alarm` must be greater than 0 and less than 0.5; got"):
         detection_probability(*swap(element_cumulants(bright(3, 0.01)), false_alarm))
 
 

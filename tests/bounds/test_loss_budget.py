@@ -30,7 +30,7 @@ def test_threshold_leaves_the_number_allowed():
     assert least == (5.0, 0.0)
     assert least.count(np.array([9.0, 5.0, 4.0, -np.inf])).tolist() == [1.0, 0.0, 0.0, 0.0]
     assert threshold(false, 10.0) == (-np.inf, 0.0)
-    with pytest.raises(ValueError, match="`false_per_frame` must be greater than 0, got 0"):
+    with pytest.raises(ValueError, match="`false_per_frame` must be greater than 0; got 0"):
         threshold(false, 0.0)
 
 

@@ -84,9 +84,11 @@ def test_without_a_loop_the_sensors_bound_stands_alone():
     sightings, frames, _ = flight()
     found = flight_accuracy(sightings, frames)
     assert list(found.data_vars) == ["position_bound_sensor"]
-    assert format_accuracy(found.attrs).startswith("median position error: bound from sensor noise 0.")
+    assert format_accuracy(found.attrs).startswith(
+        "median position error of visible moving vehicles: lower bound from sensor noise 0."
+    )
     assert "tracker" not in format_accuracy(found.attrs)
-    assert format_accuracy({}) == "median position error: not measured"
+    assert format_accuracy({}) == "median position error of visible moving vehicles: not measured"
     tree = xr.DataTree.from_dict({"/bound/pan": found, "/bound/all": xr.Dataset()})
     assert list(accuracy_lines(tree)) == ["pan"]
 

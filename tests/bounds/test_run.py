@@ -123,14 +123,14 @@ def test_a_flight_without_a_loss_budget_says_nothing(three_cars):
 
 def test_bad_input_is_one_sentence(three_cars, monkeypatch):
     with pytest.raises(
-        ValueError, match=r"`flight.frames` must be more than bound.every, 4, for a loss budget, got 3"
+        ValueError, match=r"`flight.frames` must be more than bound.every, 4, for a loss budget; got 3"
     ):
         measure_bounds(case(flight={"frames": 3, "off_nadir_deg": 0.0}))
     with pytest.raises(ValueError, match="false_per_frame"):
         case(bound={"false_per_frame": 0.0})
     monkeypatch.setattr("tests.conftest.ASPHALT_SPEED_M_S", 0.0)
     with pytest.raises(
-        ValueError, match="`case` must have moving vehicles in the scored area for a loss budget, got none"
+        ValueError, match="`case` must have moving vehicles in the scored area for a loss budget; got none"
     ):
         measure_bounds(case(flight={"frames": 5, "off_nadir_deg": 0.0}))
 

@@ -103,8 +103,8 @@ def test_scores_budget_and_truth_are_of_one_area(three_cars):
     seen = []
     tree = simulate(case.replace({"scene.area": left}), seen.append)
     assert tree.attrs["area"] == "polygon" and tree["pan"].attrs["learning_frames"] == 2
-    assert tree["pan"].attrs["epochs"] == 2 and tree["pan"].sizes["time"] == 4
-    assert tree["pan"].attrs["vehicles_per_epoch"] == 1
+    assert tree["pan"].attrs["frames"] == 2 and tree["pan"].sizes["time"] == 4
+    assert tree["pan"].attrs["vehicles_per_frame"] == 1
     assert tree["truth"]["inside"].values.tolist() == [True, False, False] * 4
     assert seen[0].score.area_km2 == pytest.approx(0.01)
     assert 0 <= tree["pan"].attrs["completeness_window"] <= 1

@@ -49,7 +49,7 @@ def test_the_paper_from_its_figures_is_the_default():
         columns=880, rows=560, pitch_um=17.0, focal_length_mm=68.0, altitude_m=1928.0, off_nadir_deg=50.0,
         rate_hz=2.0, polarizers="superpixel",
     )  # fmt: skip
-    assert case.sensor.replace({"quantum_efficiency": 0.6, "clock_hz": 10.0}) == Case().sensor
+    assert case.sensor.replace({"quantum_efficiency": 0.6, "max_frame_rate_hz": 10.0}) == Case().sensor
 
 
 def test_a_detector_and_a_lens_of_the_catalogue():
@@ -68,10 +68,13 @@ def test_a_detector_and_a_lens_of_the_catalogue():
     [
         ({"pitch_um": None}, "`--pitch` must be given where there is no --sensor"),
         ({"focal_length_mm": None}, "`--focal-length` must be given where there is no --lens"),
-        ({"lens": "pi-6"}, "`--lens` must have an image circle of the array's 9.99 mm at least, got 8 mm"),
-        ({"lens": "ef-100", "f_number": 1.4}, "`--f-number` must be at least the lens's 2, got 1.4"),
-        ({"detector": "imx250mzr", "polarizers": "none"}, "`--polarizers` must be 2x2, as on the detector"),
-        ({"detector": "imx253mzr", "rate_hz": 60.0}, "`--rate` must be at most the detector's 15 Hz, got 60"),
+        ({"lens": "pi-6"}, "`--lens` must have an image circle of the array's 9.99 mm at least; got 8 mm"),
+        ({"lens": "ef-100", "f_number": 1.4}, "`--f-number` must be at least the lens's 2; got 1.4"),
+        (
+            {"detector": "imx250mzr", "polarizers": "none"},
+            "`--polarizers` must be 2x2, as on the detector array",
+        ),
+        ({"detector": "imx253mzr", "rate_hz": 60.0}, "`--rate` must be at most the array's 15 Hz; got 60"),
         ({"rows": 2047, "polarizers": "2x2"}, "`sensor.rows` must be even"),
         ({"altitude_m": 12000.0}, "`flight.altitude_m` must be at most the highest of"),
     ],

@@ -15,7 +15,7 @@ def test_packaged_cases_are_within_the_fitted_range(name):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"flight.rate_hz": 5.0, "sensor.clock_hz": 5.0}, "frame rate 5 Hz (fitted at 2 Hz)"),
+        ({"flight.rate_hz": 5.0, "sensor.max_frame_rate_hz": 5.0}, "frame rate 5 Hz (fitted at 2 Hz)"),
         ({"sensor.pitch_um": 8.5}, "ground sample distance 0.375 m (fitted at 0.75 m)"),
         ({"flight.off_nadir_deg": 0.0}, "off-nadir angle 0° (fitted at 50°)"),
         ({"track.detect.max_speed_m_s": 40.0}, "`track.detect.max_speed_m_s` 40 m/s (fitted at 22 m/s)"),

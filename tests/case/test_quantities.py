@@ -28,7 +28,7 @@ def camera(pixels, pitch_um, focal_length_mm, **flight):
     columns, rows = pixels
     sensor = {
         "layout": "pan", "columns": columns, "rows": rows, "pitch_um": pitch_um, "spot_sigma_um": 0.0,
-        "focal_length_mm": focal_length_mm, "clock_hz": 60.0, "integration_time_ms": 0.5,
+        "focal_length_mm": focal_length_mm, "max_frame_rate_hz": 60.0, "integration_time_ms": 0.5,
     }  # fmt: skip
     values = {"sensor": sensor, "flight": flight, "channels": ["pan"]}
     return validate_design(Case, values | {"atmosphere": {"altitudes_m": [500.0, 20000.0]}})

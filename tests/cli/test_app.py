@@ -89,10 +89,10 @@ def test_wrong_changes_are_all_told_before_anything_flies(monkeypatch, capsys, t
     wrong = ["--set", "sensor.pich_um=8.5", "--set", "flight.frames=0"]
     assert program(monkeypatch, "run", "quickstart", *wrong, "-o", tmp_path / "out") == 2
     said = capsys.readouterr().err
-    assert "did you mean `pitch_um`" in said and "`flight.frames`" in said
+    assert "Did you mean `pitch_um`" in said and "`flight.frames`" in said
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_wrong_name_of_a_case_is_told_the_nearest(monkeypatch, capsys, tmp_path):
     assert program(monkeypatch, "run", "quikstart", "-o", tmp_path / "out") == 2
-    assert "did you mean `quickstart`" in capsys.readouterr().err
+    assert "Did you mean `quickstart`" in capsys.readouterr().err

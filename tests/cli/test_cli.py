@@ -137,10 +137,10 @@ origin_m = [287900.0, 4779100.0]
     ("crs", "low_m", "vertex", "sentence"),
     [
         ("EPSG:32618", 20.0, "100 100 0", ""),
-        ("EPSG:32633", 20.0, "100 100 0", "`dem_file` must cover the scene, got no height in 100 %"),
-        ("EPSG:32618", -32768.0, "100 100 0", "`dem_file` must hold heights of -500 to 9000 m, got -32768"),
-        ("EPSG:32618", 1e30, "100 100 0", "`dem_file` must hold heights of -500 to 9000 m, got 1e+30"),
-        ("EPSG:32618", 20.0, "100 nan 0", "`mesh_file` must have finite coordinates, got 1 of 5 vertices"),
+        ("EPSG:32633", 20.0, "100 100 0", "`dem_file` must cover the scene; got no height in 100 %"),
+        ("EPSG:32618", -32768.0, "100 100 0", "`dem_file` must hold heights of -500 to 9000 m; got -32768"),
+        ("EPSG:32618", 1e30, "100 100 0", "`dem_file` must hold heights of -500 to 9000 m; got 1e+30"),
+        ("EPSG:32618", 20.0, "100 nan 0", "`mesh_file` must have finite coordinates; got 1 of 5 vertices"),
         (
             "EPSG:32618",
             20.0,
@@ -178,9 +178,9 @@ def test_wrong_calls_get_one_sentence_and_leave_nothing(monkeypatch, three_cars,
     before = sorted(tmp_path.iterdir())
     for arguments, sentence in (
         (("run", case_file, "-o", tmp_path / "there"), "`output` must be a new or empty folder"),
-        (("run", wrong, "-o", tmp_path / "new"), "did you mean `altitude_m`?"),
-        (("run", tmp_path / "none.toml"), "`case` must be a readable file, got"),
-        (("case", "check", wrong), "did you mean `altitude_m`?"),
+        (("run", wrong, "-o", tmp_path / "new"), "Did you mean `altitude_m`?"),
+        (("run", tmp_path / "none.toml"), "`case` must be a readable file; got"),
+        (("case", "check", wrong), "Did you mean `altitude_m`?"),
     ):
         assert program(monkeypatch, *arguments) == 2
         told = capsys.readouterr().err
@@ -216,7 +216,7 @@ def test_the_schema_lists_every_table(monkeypatch, capsys):
     assert program(monkeypatch, "case", "schema", "flight") == 0
     assert "altitude_m" in (said := capsys.readouterr().out) and "pitch_um" not in said
     assert program(monkeypatch, "case", "schema", "fligt") == 2
-    assert "did you mean `flight`" in capsys.readouterr().err
+    assert "Did you mean `flight`" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["quickstart", "braunschweig"])

@@ -61,7 +61,7 @@ def test_the_standard_set_can_be_foreseen(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("three.toml", "three.toml", "-o", "set"), "`CASE` must be named once each, got 'three' twice"),
+        (("three.toml", "three.toml", "-o", "set"), "`CASE` must be named once each; got 'three' twice"),
         (("three.toml", "-o", "set", "--frames", "0"), "`frames` must lie within"),
         (("three.toml", "-o", "three.toml"), "`output` must be a new or empty folder"),
         (("none.toml", "-o", "set"), "must"),

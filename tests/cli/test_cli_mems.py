@@ -59,7 +59,7 @@ def test_micromirror_writes_table_pictures_and_model(design, tmp_path, monkeypat
 def test_without_scikit_fem_the_rest_is_written(design, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("glintrack.devices.micromirror.dynamics.find_spec", lambda name: None)
     assert run(monkeypatch, "micromirror", design(""), "-o", tmp_path / "m.nc", "--plot") == 0
-    assert "left out: the extra `em` must be installed to bend plates, got no" in capsys.readouterr().out
+    assert "left out: the extra `em` must be installed to bend plates; got no" in capsys.readouterr().out
     with xr.open_dataset(tmp_path / "m.nc", engine="h5netcdf") as table:
         assert "deflection" not in table and "piston" in table
 

@@ -205,22 +205,22 @@ def test_an_interrupt_leaves_nothing(monkeypatch, case_file, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--frame", "3"], "`--frame` must lie within the flight's 0 to 2, got 3"),
-        (["--frame", "-1"], "`--frame` must lie within the flight's 0 to 2, got -1"),
-        (["--band", "0.7:0.6"], "`--band` must be two rising wavelengths in µm, got '0.7:0.6'"),
-        (["--band", "red"], "`--band` must be two wavelengths in µm, as 0.6:0.7, got 'red'"),
-        (["--band", "0.9:1.2"], "`--band` must rise within the atmosphere's 0.4 to 1 µm, got 0.9:1.2"),
+        (["--frame", "3"], "`--frame` must lie within the flight's 0 to 2; got 3"),
+        (["--frame", "-1"], "`--frame` must lie within the flight's 0 to 2; got -1"),
+        (["--band", "0.7:0.6"], "`--band` must be two rising wavelengths in µm; got '0.7:0.6'"),
+        (["--band", "red"], "`--band` must be two wavelengths in µm, as 0.6:0.7; got 'red'"),
+        (["--band", "0.9:1.2"], "`--band` must rise within the atmosphere's 0.4 to 1 µm; got 0.9:1.2"),
         (["--band", "0.505:0.515"], "`--band` must hold at least one of the atmosphere's wavelengths"),
-        (["--dolp", "--aop"], "`render` must get one product, got --dolp and --aop"),
+        (["--dolp", "--aop"], "`render` must get one product; got --dolp and --aop"),
         (["--rgb", "--band", "0.5:0.6"], "`--rgb` must be given without --band"),
-        (["--gsd", "2"], "`--gsd` must be given with --ortho, got 2 without it"),
+        (["--gsd", "2"], "`--gsd` must be given with --ortho; got 2 without it"),
         (["--ortho", "--gsd", "900"], "must hold at least one cell of 900"),
-        (["--cube"], "`output` must end in .hdr, .nc or .zarr for a cube, got 'out.png'"),
+        (["--cube"], "`output` must end in .hdr, .nc or .zarr for a cube; got 'out.png'"),
         (["-o", "out.jp2"], "`output` must end in one of .png, .jpg"),
-        (["-o", "gone/out.png"], "`output` must lie in an existing folder, got gone/out.png"),
-        (["--dolp", "-o", "gone/out.nc"], "`output` must lie in an existing folder, got gone/out.nc"),
-        (["--cube", "-o", "there.zarr"], "`output` must be a new folder, got there.zarr, which exists"),
-        (["-o", "there.png"], "`output` must be writable, got there.png"),
+        (["-o", "gone/out.png"], "`output` must lie in an existing folder; got gone/out.png"),
+        (["--dolp", "-o", "gone/out.nc"], "`output` must lie in an existing folder; got gone/out.nc"),
+        (["--cube", "-o", "there.zarr"], "`output` must be a new folder; got there.zarr, which exists"),
+        (["-o", "there.png"], "`output` must be writable; got there.png"),
         (["--cube", "--band", "0.4:0.5", "--band", "0.6:0.7", "-o", "c.nc"], "at most one --band"),
     ],
 )
@@ -265,7 +265,7 @@ def test_shadows_are_as_soft_as_the_case_and_the_leaves_say(
 def test_no_rays_to_the_sun_is_one_sentence(monkeypatch, case_file, tmp_path, capsys):
     case_file.write_text(CASE.replace("[sensor]", "[sensor]\nsun_samples = 0"), encoding="utf-8")
     assert program(monkeypatch, "render", case_file, "-o", tmp_path / "out.png") == 2
-    assert "`sensor.sun_samples` must be greater than or equal to 1, got 0" in capsys.readouterr().err
+    assert "`sensor.sun_samples` must be greater than or equal to 1; got 0" in capsys.readouterr().err
 
 
 def test_an_unwritable_folder_is_one_sentence(monkeypatch, case_file, tmp_path, capsys):
@@ -289,8 +289,8 @@ def test_an_empty_scene_and_a_lens_below_the_ground(monkeypatch, case_file, tmp_
             return super().terrain + 4000.0
 
     for city, sentence in (
-        (Nothing, "`scene` must hold at least one triangle, got none"),
-        (Hill, "`flight.altitude_m` must put the lens above the ground, at 4000 m there, got 3000 m"),
+        (Nothing, "`scene` must hold at least one triangle; got none"),
+        (Hill, "`flight.altitude_m` must put the lens above the ground, at 4000 m there; got 3000 m"),
     ):
         monkeypatch.setattr(scenario, "build_scene", lambda design, city=city: city(load_materials()))
         assert program(monkeypatch, "render", case_file, "-o", tmp_path / "out.png") == 2

@@ -33,13 +33,13 @@ def test_video_writes_a_gif(monkeypatch, folder, tmp_path):
     [
         (("report", "{}/none"), "`result` must be a folder that `glintrack run` wrote"),
         (("report", "{}"), "without any of case.toml"),
-        (("report", "{}/result", "{}/result"), "`report` must get one result, got 2"),
+        (("report", "{}/result", "{}/result"), "`report` must get one result; got 2"),
         (("video", "{}", "-o", "{}/x.gif"), "without any of case.toml"),
         (("view", "{}"), "without any of case.toml"),
         (("report", "{}/result", "-o", "{}/x.pdf"), "`output` must end in .html"),
         (
             ("report", "{}/result", "-o", "{}/x.html", "--base", "{}/no.toml"),
-            "`case` must be a readable file, got",
+            "`case` must be a readable file; got",
         ),
         (("report", "{}/result", "-o", "{}/no/x.html"), "`output` must be a file in an existing folder"),
         (("video", "{}/result", "-o", "{}/no/x.mp4"), "`output` must be a file in an existing folder"),

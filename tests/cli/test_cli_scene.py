@@ -58,12 +58,12 @@ def test_build_writes_a_case_and_refuses_what_is_there(tmp_path):
         (["build", "--width", "9000", "--height", "9000"], "must be at most 4 km²"),
         (["traffic", "-o", "t.txt"], "must end in .nc, .csv or .parquet"),
         (["traffic", "--fcd", "gone.csv", "-o", "t.nc"], "`gone.csv` must be a readable file"),
-        (["build", "--dem", "gone.tif"], "`dem_file` must be a readable file, got"),
-        (["preview", "embeded", "-o", "view.png"], "did you mean `embedded`?"),
+        (["build", "--dem", "gone.tif"], "`dem_file` must be a readable file; got"),
+        (["preview", "embeded", "-o", "view.png"], "Did you mean `embedded`?"),
         (["preview", "embedded", "-o", "view.gif"], "must end in .png, .jpg or .jpeg"),
         (["preview", "gone.toml", "-o", "view.png"], "gone.toml"),
         (["export", "embedded", "scene.obj"], "must end in .glb"),
-        (["build", "-o", "gone/scene.toml"], "must be a file in an existing folder, got gone/scene.toml"),
+        (["build", "-o", "gone/scene.toml"], "must be a file in an existing folder; got gone/scene.toml"),
         (["preview", "embedded", "-o", "gone/a.png"], "must be a file in an existing folder"),
         (["export", "embedded", "gone/a.glb"], "must be a file in an existing folder"),
         (["traffic", "-o", "gone/t.nc"], "must be a file in an existing folder"),
@@ -145,7 +145,7 @@ def test_traffic_without_end_is_refused(tmp_path):
     asked = ["scene", "traffic", "-o", str(tmp_path / "t.nc"), "--insertion-period", "1e-300"]
     done = run(app, asked)
     assert done.exit_code and not list(tmp_path.iterdir())
-    told = "`traffic_insertion_period_s` must be greater than or equal to 0.01 s, got 1e-300 s"
+    told = "`traffic_insertion_period_s` must be greater than or equal to 0.01 s; got 1e-300 s"
     assert told in str(done.exception)
 
 

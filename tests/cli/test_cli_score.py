@@ -78,7 +78,7 @@ def test_where_the_truth_says_what_is_inside_a_runs_scores_come_back(tmp_path):
     assert score(tmp_path / "tracks.csv", tmp_path / "truth.csv", (0, 0, 1000, 10))["completeness"] < 0.5
     in_a_row = truth.assign(north_m=0.0)
     in_a_row.to_csv(tmp_path / "truth.csv", index=False)  # True and False, and a box without height
-    assert score(tmp_path / "tracks.csv", tmp_path / "truth.csv")["false_per_epoch"] == 0.0
+    assert score(tmp_path / "tracks.csv", tmp_path / "truth.csv")["false_per_frame"] == 0.0
     truth.assign(inside=2).to_csv(tmp_path / "truth.csv", index=False)
     with pytest.raises(ValueError, match="`inside` must hold 0 or 1"):
         score(tmp_path / "tracks.csv", tmp_path / "truth.csv")
@@ -87,8 +87,8 @@ def test_where_the_truth_says_what_is_inside_a_runs_scores_come_back(tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--json", "truth.csv"), "`json` must end in .json, got 'truth.csv'"),
-        (("--moving-m-s", "nan"), "`moving-m-s` must be 0 m/s or more, got nan"),
+        (("--json", "truth.csv"), "`json` must end in .json; got 'truth.csv'"),
+        (("--moving-m-s", "nan"), "`moving-m-s` must be 0 m/s or more; got nan"),
     ],
 )
 def test_wrong_options_are_refused_and_overwrite_nothing(files, monkeypatch, capsys, options, said):
@@ -123,7 +123,7 @@ def test_exchanged_files_are_recognized_by_their_columns(files, monkeypatch, cap
     with pytest.raises(SystemExit) as end:
         app.main()
     assert end.value.code == 2
-    assert "are tracks and truth exchanged? The tracks come first" in capsys.readouterr().err
+    assert "Are tracks and truth exchanged? The tracks come first" in capsys.readouterr().err
 
 
 def test_decimal_commas_are_recognized(files):
@@ -131,5 +131,5 @@ def test_decimal_commas_are_recognized(files):
     tracks.astype({"east_m": str}).replace({"east_m": "-150.0"}, "-150,0").to_csv(
         folder / "tracks.csv", index=False
     )
-    with pytest.raises(ValueError, match=r"`east_m` must hold numbers, got '-150,0' .*\(write -150\.0, with"):
+    with pytest.raises(ValueError, match=r"`east_m` must hold numbers; got '-150,0' .*Write -150\.0, with"):
         score(folder / "tracks.csv", folder / "truth.csv")

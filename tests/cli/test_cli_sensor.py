@@ -75,13 +75,13 @@ def test_show_says_what_follows_and_draws_the_transfer(glintrack, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("show", "nikon"), "`sensor` must be a packaged sensor, a packaged case or a TOML file, got nikon"),
-        (("show", "quikstart"), "did you mean `quickstart`?"),
+        (("show", "nikon"), "`sensor` must be a packaged sensor, a packaged case or a TOML file; got nikon"),
+        (("show", "quikstart"), "Did you mean `quickstart`?"),
         (("show", "pan", "--mtf", "plot.pdf"), "`--mtf` must end in .png"),
         (("ghosts", "relay", "--pitch-um", "1e308"), "`--pitch-um` must be above 0 and at most 1e6"),
         (("ghosts", "relay", "--window-mm", "nan"), "`window` must fit into the 320.027 mm before the image"),
         (("expose", "quickstart", "-o", "frame.tif"), "`--output` must end in .nc"),
-        (("expose", "quickstart", "--frame", "40"), "`--frame` must lie within the flight's 0 to 39, got 40"),
+        (("expose", "quickstart", "--frame", "40"), "`--frame` must lie within the flight's 0 to 39; got 40"),
     ],
 )
 def test_bad_input_is_one_sentence(glintrack, tmp_path, monkeypatch, arguments, message):
@@ -143,8 +143,8 @@ def test_a_frame_of_a_flight_over_waypoints_is_exposed_from_where_they_lead(glin
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ('kind = "waypoints"\nwaypoint_file = "none.csv"\n', "`waypoint_file` must be a readable file, got"),
-        ('kind = "waypoints"\nwaypoint_file = "one.csv"\n', "must hold two waypoints or more, got 1"),
+        ('kind = "waypoints"\nwaypoint_file = "none.csv"\n', "`waypoint_file` must be a readable file; got"),
+        ('kind = "waypoints"\nwaypoint_file = "one.csv"\n', "must hold two waypoints or more; got 1"),
         ("[sensor]\nlayout = [[0, 0], [0, 'mirror']]\n", "got a condition number of inf"),
     ],
 )
@@ -161,4 +161,4 @@ def test_ghosts_are_listed(glintrack):
     assert code == 0, err
     assert "surface 5 surface 4 0.0001" in out and "0.007 of the light is ghosts" in out
     code, _, err = glintrack("sensor", "ghosts", "relay", "--field", "9")
-    assert code == 2 and "`--field` must be 0 to 5, got 9" in err
+    assert code == 2 and "`--field` must be 0 to 5; got 9" in err

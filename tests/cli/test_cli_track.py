@@ -13,7 +13,7 @@ from glintrack import metrics
 from glintrack.cli import app
 from glintrack.io.detections import read_detections, read_truth
 from glintrack.io.tracks import TRACK_COLUMNS, WRITERS
-from glintrack.results.roc import roc
+from glintrack.results.froc import froc
 from glintrack.track.files import track_detections
 
 
@@ -64,15 +64,15 @@ def test_sweep_of_the_initiation_threshold(tmp_path, monkeypatch, capsys):
     detections.to_csv(tmp_path / "d.csv", index=False)
     truth.to_csv(tmp_path / "truth.csv", index=False)
     out, paths = tmp_path / "out", (tmp_path / "d.csv", tmp_path / "truth.csv")
-    code, said, _ = run(monkeypatch, capsys, "track", paths[0], "-o", out, "--roc", paths[1])
-    assert code == 0 and "roc.csv" in said
-    swept = pd.read_csv(out / "roc.csv")
+    code, said, _ = run(monkeypatch, capsys, "track", paths[0], "-o", out, "--froc", paths[1])
+    assert code == 0 and "froc.csv" in said
+    swept = pd.read_csv(out / "froc.csv")
     assert swept["confirm_score"].is_monotonic_increasing
     assert (np.diff(swept["completeness"]) <= 1e-6).all()  # as rounded in the file
-    assert swept["false_per_epoch"].iloc[-1] <= swept["false_per_epoch"].iloc[0]
+    assert swept["false_per_frame"].iloc[-1] <= swept["false_per_frame"].iloc[0]
     assert swept["completeness"].iloc[0] > 0.8 and swept["completeness"].iloc[-1] < 0.8
 
-    lone = roc(read_detections(paths[0], 0.5, None), read_truth(paths[1]), [6.0])[0]
+    lone = froc(read_detections(paths[0], 0.5, None), read_truth(paths[1]), [6.0])[0]
     score = metrics.score_rows(
         track_detections(read_detections(paths[0], 0.5, None)).rows, read_truth(paths[1])
     )
@@ -87,7 +87,7 @@ def test_detections_to_tracks_to_scores(tmp_path, monkeypatch, capsys):
     code, said, _ = run(
         monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", out, "--sigma-m", 0.4, "--crs", "EPSG:32618"
     )
-    assert code == 0 and "wrote" in said and "40 epochs" in said
+    assert code == 0 and "wrote" in said and "40 frames" in said
     tracks = pd.read_csv(out / "tracks.csv")
     assert list(tracks.columns) == list(TRACK_COLUMNS)
     assert list(tracks.columns[:4]) == ["time_s", "track_id", "east_m", "north_m"]
@@ -164,29 +164,29 @@ def test_nothing_detected_is_fine(tmp_path, monkeypatch, capsys):
     [
         (
             "time,x,y\n0,1,2\n",
-            "must have the columns time_s, east_m, north_m, got no time_s, east_m, north_m",
+            "must have the columns time_s, east_m, north_m; got no time_s, east_m, north_m",
         ),
-        ("", "must have a header row, got the empty file"),
-        ("time_s,east_m,north_m\n1,0,0\n0.5,0,0\n", "must not go backwards, got 0.5 after 1 in row 3"),
+        ("", "must have a header row; got the empty file"),
+        ("time_s,east_m,north_m\n1,0,0\n0.5,0,0\n", "must not go backwards; got 0.5 after 1 in row 3"),
         (
             "time_s,east_m,north_m\n" + "5,1,0\n-3,1,1\n9,1,2\n" * 4,
-            "is time_s the column of times?",
+            "Is time_s the column of times?",
         ),
-        ("time_s;east_m;north_m\n0;1,5;2,5\n", "its columns are separated by semicolons (use commas"),
-        ("time_s,east_m,north_m\n0,nan,0\n", "`east_m` must be finite, got nan in row 2"),
-        ("time_s,east_m,north_m\n0,1,inf\n", "`north_m` must be finite, got inf in row 2"),
-        ("time_s,east_m,north_m\n0,here,0\n", "`east_m` must hold numbers, got 'here' in row 2"),
+        ("time_s;east_m;north_m\n0;1,5;2,5\n", "its columns are separated by semicolons. Use commas"),
+        ("time_s,east_m,north_m\n0,nan,0\n", "`east_m` must be finite; got nan in row 2"),
+        ("time_s,east_m,north_m\n0,1,inf\n", "`north_m` must be finite; got inf in row 2"),
+        ("time_s,east_m,north_m\n0,here,0\n", "`east_m` must hold numbers; got 'here' in row 2"),
         ("time_s,east_m,north_m\n0,1e12,0\n", "must be metres within"),
         (
             "time_s,east_m,north_m\n0,9.1801,48.7758\n0,9.1812,48.7761\n0.5,9.1803,48.7759\n",
-            "must be metres, got numbers that look like degrees",
+            "must be metres; got numbers that look like degrees",
         ),
         (
             "time_s,east_m,north_m,east_var_m2\n0,1,1,1\n",
-            "must come with east_var_m2 and north_var_m2, got no north",
+            "must come with east_var_m2 and north_var_m2; got no north",
         ),
         ("time_s,east_m,north_m,east_var_m2,north_var_m2\n0,1,1,-1,1\n", "must form a positive covariance"),
-        ("time_s,east_m,north_m,colour\n0,1,1,red\n", "`colour` must hold numbers, got 'red' in row 2"),
+        ("time_s,east_m,north_m,colour\n0,1,1,red\n", "`colour` must hold numbers; got 'red' in row 2"),
     ],
 )
 def test_bad_detections_are_one_sentence(tmp_path, monkeypatch, capsys, text, complaint):
@@ -223,7 +223,7 @@ def test_exchanged_columns_are_told_where_an_area_or_a_map_shows_them(tmp_path, 
     detections.to_csv(tmp_path / "d.csv", index=False)
     utm = ("--crs", "EPSG:32632")
     code, _, said = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "map", *utm)
-    assert code == 2 and "are east and north exchanged?" in said
+    assert code == 2 and "Are east and north exchanged?" in said
 
 
 def moving_squares(count=24, side=80, gsd=1.5, seed=0):
@@ -282,10 +282,10 @@ def test_a_stack_gives_the_same_tracks_as_the_folder(tmp_path, monkeypatch, caps
 @pytest.mark.parametrize(
     ("make", "extra", "complaint"),
     [
-        ({"transform": False}, ("--rate", 2), "must have a geotransform or a world file, got none"),
+        ({"transform": False}, ("--rate", 2), "must have a geotransform or a world file; got none"),
         ({}, (), "must have a tag time_s or need --rate"),
-        ({"times": [0.0, 1.0, 0.5, 2.0]}, (), "must be later than the last frame's 1 s, got 0.5"),
-        ({"times": [0.0, 1.0, 1.0, 2.0]}, (), "must be later than the last frame's 1 s, got 1"),
+        ({"times": [0.0, 1.0, 0.5, 2.0]}, (), "must be later than the last frame's 1 s; got 0.5"),
+        ({"times": [0.0, 1.0, 1.0, 2.0]}, (), "must be later than the last frame's 1 s; got 1"),
         (
             {"times": [0.0, 1.0, 2.0, 3.0]},
             ("--channel", "dolp"),
@@ -308,11 +308,11 @@ def test_bad_frames_are_one_sentence(tmp_path, monkeypatch, capsys, make, extra,
 @pytest.mark.parametrize(
     ("extra", "complaint"),
     [
-        (("--crs", "EPSG:32619"), "`crs` must be the frames' own, EPSG:32618, got EPSG:32619"),
+        (("--crs", "EPSG:32619"), "`crs` must be the frames' own, EPSG:32618; got EPSG:32619"),
         (("--crs", "EPSG:4326"), "`crs` must be projected and in metres"),
-        (("--rate", "inf"), "`rate` must be 1e-06 to 1e+06 Hz, got inf"),
-        (("--area", "0", "0", "9", "9"), "`area` must be used with detections, got 0.0 0.0 9.0 9.0"),
-        (("--features", "none"), "`features` must be used with detections, got none"),
+        (("--rate", "inf"), "`rate` must be 1e-06 to 1e+06 Hz; got inf"),
+        (("--area", "0", "0", "9", "9"), "`area` must be used with detections; got 0.0 0.0 9.0 9.0"),
+        (("--features", "none"), "`features` must be used with detections; got none"),
         (("--geotransform", "0", "nan", "1"), "`geotransform` must have edges within ±1e+08 m"),
         (("--geotransform", "0", "0", "inf"), "`geotransform` must have edges within ±1e+08 m and pixels"),
     ],
@@ -363,7 +363,7 @@ def test_options_of_frames_are_refused_with_detections(tmp_path, monkeypatch, ca
     crossing()[0].to_csv(tmp_path / "d.csv", index=False)
     code, _, said = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out", *option)
     got = " ".join(f"{float(v):.1f}" if option[0] != "--channel" else v for v in option[1:])
-    assert code == 2 and f"`{option[0][2:]}` must be used with frames, got {got} for" in said
+    assert code == 2 and f"`{option[0][2:]}` must be used with frames; got {got} for" in said
 
 
 @pytest.mark.parametrize("option", [("--sigma-m", "inf"), ("--area", "-inf", "-inf", "inf", "inf")])
@@ -384,11 +384,11 @@ def test_frames_that_change_size(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("header", "remedy"),
     [
-        ("Time_s,East_m,north_m", "rename Time_s to time_s, East_m to east_m)"),
-        ("T,East,NORTH_M", "rename T to time_s, East to east_m, NORTH_M to north_m)"),
-        ("t,x,y", "rename t to time_s, x to east_m, y to north_m"),
-        ("time_s;east_m;north_m", "separate the columns by commas"),
-        ("time_s,longitude_deg,latitude_deg", "project them into metres first"),
+        ("Time_s,East_m,north_m", "Rename Time_s to time_s, East_m to east_m."),
+        ("T,East,NORTH_M", "Rename T to time_s, East to east_m, NORTH_M to north_m."),
+        ("t,x,y", "Rename t to time_s, x to east_m, y to north_m"),
+        ("time_s;east_m;north_m", "Separate the columns by commas"),
+        ("time_s,longitude_deg,latitude_deg", "Project them into metres first"),
     ],
 )
 def test_columns_of_other_names_come_with_a_remedy(header, remedy, tmp_path, monkeypatch, capsys):
@@ -417,7 +417,7 @@ def test_frames_of_several_loops_are_refused(tmp_path, monkeypatch, capsys):
     for k, path in enumerate(sorted((tmp_path / "frames").iterdir())):
         path.rename(path.with_name(("all_", "pan_")[k % 2] + path.name))
     code, _, said = run(monkeypatch, capsys, "track", tmp_path / "frames", "-o", tmp_path / "out")
-    assert code == 2 and "`frames` must be of one channel, got all, pan" in said
+    assert code == 2 and "`frames` must be of one channel; got all, pan" in said
 
 
 def test_kilometres_for_metres_are_asked_about(tmp_path, monkeypatch, capsys):

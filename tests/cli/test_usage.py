@@ -16,7 +16,7 @@ from tests.cli.test_cli import program
         ("run quickstart 7", ("7", "glintrack run --help")),
         ("rum", ("rum", "run")),
         ("device", ("command", "glintrack device --help")),
-        ("run --set sensor.rows", ("`--set` must be KEY=VALUE, as sensor.pitch_um=8.5, got 'sensor.rows'",)),
+        ("run --set sensor.rows", ("`--set` must be KEY=VALUE, as sensor.pitch_um=8.5; got 'sensor.rows'",)),
     ],
 )
 def test_a_wrong_command_line_is_one_sentence(monkeypatch, capsys, words, parts):

@@ -18,7 +18,7 @@ def test_a_missing_module_is_one_sentence(monkeypatch):
     monkeypatch.setitem(sys.modules, "stonesoup.types", None)
     with pytest.raises(MissingExtraError) as caught:
         require_extra("stonesoup.types", "stonesoup", "pass tracks on")
-    sentence = "the extra `stonesoup` must be installed to pass tracks on, got no package stonesoup ("
+    sentence = "the extra `stonesoup` must be installed to pass tracks on; got no package stonesoup. Run: "
     assert str(caught.value).startswith(sentence)
     assert isinstance(caught.value, ValueError)
 

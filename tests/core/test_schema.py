@@ -42,7 +42,7 @@ def test_nothing_at_all_fits_too(name):
 
 @pytest.mark.parametrize(("name", "variable"), [(n, v) for n, vs in SCHEMAS.items() for v in vs])
 def test_every_variable_is_required(name, variable):
-    with pytest.raises(ValueError, match=rf"^`{name}\.{variable}` must be present, got only \["):
+    with pytest.raises(ValueError, match=rf"^`{name}\.{variable}` must be present; got only \["):
         check(example(name).drop_vars(variable), name)
 
 
@@ -50,15 +50,15 @@ def test_every_variable_is_required(name, variable):
 def test_every_unit_is_required(name, variable):
     dataset = example(name)
     dataset[variable].attrs["units"] = "furlong"
-    with pytest.raises(ValueError, match=rf"^`{name}\.{variable}` must have units '.*', got 'furlong'$"):
+    with pytest.raises(ValueError, match=rf"^`{name}\.{variable}` must have units '.*'; got 'furlong'\.$"):
         check(dataset, name)
     del dataset[variable].attrs["units"]
-    with pytest.raises(ValueError, match=rf"^`{name}\.{variable}` must have units '.*', got None$"):
+    with pytest.raises(ValueError, match=rf"^`{name}\.{variable}` must have units '.*'; got None\.$"):
         check(dataset, name)
 
 
 def test_dims_must_come_in_order():
-    with pytest.raises(ValueError, match=r"`frame\.pan` must have dims \('y', 'x'\), got \('x', 'y'\)"):
+    with pytest.raises(ValueError, match=r"`frame\.pan` must have dims \('y', 'x'\); got \('x', 'y'\)"):
         check(example("frame").transpose("x", "y", "stokes"), "frame")
 
 
@@ -66,7 +66,7 @@ def test_dims_must_come_in_order():
 def test_numbers_must_be_finite_where_no_data_is_no_option(value, label):
     dataset = example("terrain")
     dataset["height"].values[1, :2] = value
-    with pytest.raises(ValueError, match=r"`terrain\.height` must be finite, got 2 that are not"):
+    with pytest.raises(ValueError, match=r"`terrain\.height` must be finite; got 2 that are not"):
         check(dataset, "terrain")
 
 
@@ -79,7 +79,7 @@ def test_nan_marks_no_data_where_allowed():
 def test_infinity_is_never_data():
     dataset = example("image")
     dataset["pan"].values[0, 0] = np.inf
-    with pytest.raises(ValueError, match=r"`image\.pan` must be finite, got 1 that are not"):
+    with pytest.raises(ValueError, match=r"`image\.pan` must be finite; got 1 that are not"):
         check(dataset, "image")
 
 
@@ -87,20 +87,20 @@ def test_infinity_is_never_data():
 def test_range_is_named_with_what_came(value, came):
     dataset = example("materials")
     dataset["roughness"].values[2] = value
-    with pytest.raises(ValueError, match=rf"`materials\.roughness` must lie within 0 to 1, {came}"):
+    with pytest.raises(ValueError, match=rf"`materials\.roughness` must lie within 0 to 1; {came}"):
         check(dataset, "materials")
 
 
 def test_texts_are_of_the_choices():
     dataset = example("tracks")
     dataset["status"] = ("track", np.full(4, "lost"), {"units": "1"})
-    with pytest.raises(ValueError, match=r"`tracks\.status` must be one of measured, .*, got lost"):
+    with pytest.raises(ValueError, match=r"`tracks\.status` must be one of measured, .*; got lost"):
         check(dataset, "tracks")
 
 
 def test_stokes_coordinate_must_be_the_components():
     dataset = example("frame").assign_coords(stokes=["I", "U", "Q"])
-    wanted = r"`frame\.stokes_radiance` must have a stokes coordinate I Q U \[V\], got"
+    wanted = r"`frame\.stokes_radiance` must have a stokes coordinate I Q U \[V\]; got"
     with pytest.raises(ValueError, match=rf"{wanted} \['I', 'U', 'Q'\]"):
         check(dataset, "frame")
     with pytest.raises(ValueError, match=rf"{wanted} None"):
@@ -124,7 +124,7 @@ def test_stokes_frame_must_be_named(frame):
     dataset = example("image")
     dataset["stokes_radiance"].attrs["stokes_frame"] = frame
     with pytest.raises(
-        ValueError, match=rf"`image\.stokes_radiance` must name its stokes_frame .*, got {frame!r}"
+        ValueError, match=rf"`image\.stokes_radiance` must name its stokes_frame .*; got {frame!r}"
     ):
         check(dataset, "image")
 
@@ -132,14 +132,14 @@ def test_stokes_frame_must_be_named(frame):
 def test_coordinates_have_units_too():
     dataset = example("terrain")
     dataset["x"].attrs["units"] = "km"
-    with pytest.raises(ValueError, match=r"`terrain\.x` must have units 'm', got 'km'"):
+    with pytest.raises(ValueError, match=r"`terrain\.x` must have units 'm'; got 'km'"):
         check(dataset, "terrain")
 
 
 def test_a_frames_axes_count_elements():
     dataset = example("frame")
     dataset["y"].attrs["units"] = "m"
-    with pytest.raises(ValueError, match=r"`frame\.y` must have units 'element', got 'm'"):
+    with pytest.raises(ValueError, match=r"`frame\.y` must have units 'element'; got 'm'"):
         check(dataset, "frame")
 
 
@@ -152,7 +152,7 @@ def test_faults_are_one_sentence():
         with pytest.raises(ValueError, match=" must ") as caught:
             check(broken, "tracks")
         assert (
-            "\n" not in str(caught.value) and " must " in str(caught.value) and ", got " in str(caught.value)
+            "\n" not in str(caught.value) and " must " in str(caught.value) and "; got " in str(caught.value)
         )
 
 

@@ -43,12 +43,12 @@ def test_table_1s_bandwidths_divide_the_visible(step_um, count):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((0.3, 1.0), "`wavelength` range must rise within 0.4 to 2.5 µm, got 0.3 to 1.0"),
+        ((0.3, 1.0), "`wavelength` range must rise within 0.4 to 2.5 µm; got 0.3 to 1.0"),
         ((0.4, 2.6), "got 0.4 to 2.6"),
         ((1.0, 1.0), "got 1.0 to 1.0"),
-        ((0.4, 1.0, 1e-300), "`step_um` must be at least 1e-05 µm, got 1e-300"),
-        ((0.4, 1.0, 0.07), "`step_um` must divide 0.4 to 1.0 µm into whole steps, got 0.07"),
-        ((0.4, 1.0, np.inf), "`step_um` must divide 0.4 to 1.0 µm into whole steps, got inf"),
+        ((0.4, 1.0, 1e-300), "`step_um` must be at least 1e-05 µm; got 1e-300"),
+        ((0.4, 1.0, 0.07), "`step_um` must divide 0.4 to 1.0 µm into whole steps; got 0.07"),
+        ((0.4, 1.0, np.inf), "`step_um` must divide 0.4 to 1.0 µm into whole steps; got inf"),
         ((0.4, 1.0, 0.0), "got 0.0"),
         ((0.4, 1.0, -0.1), "got -0.1"),
     ],
@@ -80,11 +80,11 @@ def test_one_wavelength_alone_weighs_one_micrometre():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ([], "must name at least one wavelength, got none"),
-        ([0.5, 2.6], "must lie within 0.4 to 2.5 µm, got 2.6"),
+        ([], "must name at least one wavelength; got none"),
+        ([0.5, 2.6], "must lie within 0.4 to 2.5 µm; got 2.6"),
         ([0.3, 0.5], "got 0.3"),
         ([0.5, float("nan")], "got nan"),
-        ([0.6, 0.5], r"must rise, got \[0.6, 0.5\]"),
+        ([0.6, 0.5], r"must rise; got \[0.6, 0.5\]"),
         ([0.5, 0.5], "must rise"),
     ],
 )

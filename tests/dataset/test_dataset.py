@@ -179,7 +179,7 @@ def test_baselines_track_the_three(three_cars, tmp_path):
     found = score_baselines(tmp_path / "set", "train", lines)
     assert list(found) == list(lines)
     assert all(scores["completeness"] > 0.3 and scores["purity"] > 0.9 for scores in found.values()), found
-    with pytest.raises(ValueError, match=r"`split` must be one that the set has \(train\), got 'test'"):
+    with pytest.raises(ValueError, match=r"`split` must be one that the set has \(train\); got 'test'"):
         score_baselines(tmp_path / "set")
     with pytest.raises(ValueError, match="`DATASET` must be a folder that"):
         score_baselines(tmp_path)
@@ -211,7 +211,7 @@ def test_sets_satisfy_maites_protocols(built):
     ("text", "message"),
     [
         ("shard_frames = 2\n", "must name its cases"),
-        ("[cases.three]\nsplit = 'train'\n", "must have shard_frames of 1 to 1000, got None"),
+        ("[cases.three]\nsplit = 'train'\n", "must have shard_frames of 1 to 1000; got None"),
         ("shard_frames = 2\n[cases.three]\nsplit = 'mine'\n", "must have cases of a split"),
         ("shard_frames = 2\n[cases.'../three']\nsplit = 'train'\n", "must have cases of a split"),
     ],
@@ -228,7 +228,7 @@ def test_a_set_with_a_missing_file_is_not_whole(built, tmp_path):
     assert list(read_plan(again).cases) == ["three"]
     (again / "raw" / "three" / "000003.png").unlink()
     with pytest.raises(
-        ValueError, match=r"must be whole and of this version, got .* without shard three-001"
+        ValueError, match=r"must be whole and of this version; got .* without shard three-001"
     ):
         read_plan(again)
 
@@ -298,8 +298,8 @@ def test_windows_of_one_network_are_one_city():
 @pytest.mark.parametrize(
     ("cases", "options", "message"),
     [
-        ([case(), case()], {}, "`CASE` must be named once each, got 'three' twice"),
-        ([], {}, "`CASE` must be named once each, got none"),
+        ([case(), case()], {}, "`CASE` must be named once each; got 'three' twice"),
+        ([], {}, "`CASE` must be named once each; got none"),
         (
             [case(sensor={"auto_exposure": {"quantile": 0.9}})],
             {},

@@ -109,7 +109,7 @@ def test_travel_and_voltage():
     assert volts[0] == 0 and np.all(np.diff(volts) > 0)
     assert volts[-1] < 33.6  # pull-in of that spring, area and electrode gap
     small = EtalonDesign(actuator={"electrode_gap_um": 0.6})  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ValueError, match="a third of the electrode gap of 600 nm, got 298 nm"):
+    with pytest.raises(ValueError, match="a third of the electrode gap of 600 nm; got 298 nm"):
         drive_voltage(small, [0.162])
     with pytest.raises(ValueError, match=r"`travel` must lie within 0 to 500 nm.*got -40 nm"):
         drive_voltage(DESIGN, [0.5])
@@ -119,8 +119,8 @@ def test_travel_and_voltage():
     ("table", "sentence"),
     [
         ({"metal_thickness_nm": -1}, "greater than or equal to 0"),
-        ({"gap_start_nm": 500}, "`gap_stop_nm` must exceed gap_start_nm = 500, got 450"),
-        ({"polarization": "s", "f_number": 4}, "must be 'unpolarized' with an f_number, got 's'"),
+        ({"gap_start_nm": 500}, "`gap_stop_nm` must exceed gap_start_nm = 500; got 450"),
+        ({"polarization": "s", "f_number": 4}, "must be 'unpolarized' with an f_number; got 's'"),
         ({"wavelength_stop_um": 0.4}, "range must rise within 0.4 to 2.5"),
     ],
 )
@@ -130,9 +130,9 @@ def test_designs_refuse_what_cannot_be(table, sentence):
 
 
 def test_sweeps_refuse_what_is_outside(tmp_path):
-    with pytest.raises(ValueError, match=r"`gaps_um` must be 0 or more, got -0.1"):
+    with pytest.raises(ValueError, match=r"`gaps_um` must be 0 or more; got -0.1"):
         responses(DESIGN, [-0.1])
-    with pytest.raises(ValueError, match=r"must lie within 0.4 to 2.5 µm, got 3"):
+    with pytest.raises(ValueError, match=r"must lie within 0.4 to 2.5 µm; got 3"):
         responses(DESIGN, [0.2], [3.0])
     table = tmp_path / "metal.csv"
     table.write_text("wavelength_um,n,k\n0.5,0.1,3\n0.7,0.1,4\n", encoding="utf-8")

@@ -62,8 +62,8 @@ def test_a_table_gives_its_rows_back(tmp_path):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("wavelength_um,n\n0.5,1\n0.6,1\n", "must have columns wavelength_um and n and k, got no k"),
-        ("wavelength_um,n,k\n0.5,1,x\n0.6,1,1\n", "must hold numbers, got .*'x'"),
+        ("wavelength_um,n\n0.5,1\n0.6,1\n", "must have columns wavelength_um and n and k; got no k"),
+        ("wavelength_um,n,k\n0.5,1,x\n0.6,1,1\n", "must hold numbers; got .*'x'"),
         ("wavelength_um,n,k\n0.6,1,1\n0.5,1,1\n", "rising"),
         ("wavelength_um,n,k\n0.5,1,-1\n0.6,1,1\n", "k within 0 to"),
         ("wavelength_um,n,k\n0.5,1,nan\n0.6,1,1\n", "k within 0 to"),
@@ -81,7 +81,7 @@ def test_outside_the_data_is_an_error(tmp_path):
         permittivity(MetalDesign(model="lorentz-drude", name="silver"), 0.1)
     path = tmp_path / "metal.csv"
     path.write_text("wavelength_um,n,k\n0.5,1,1\n0.6,1,1\n")
-    with pytest.raises(ValueError, match=r"0.5 to 0.6 µm, where metal.csv holds, got 0.7"):
+    with pytest.raises(ValueError, match=r"0.5 to 0.6 µm, where metal.csv holds; got 0.7"):
         permittivity(MetalDesign(model="table", table=path), 0.7)
     with pytest.raises(ValueError, match="if and only if"):
         MetalDesign(model="table")

@@ -103,7 +103,7 @@ def test_equals_the_tmm_package():
     ("arguments", "sentence"),
     [
         (([1.0, 1.5], [0.1], 0.5), "two entries fewer"),
-        (([1.0, 2.0, 1.5], [-0.1], 0.5), r"`thicknesses_um\[0\]` must be 0 or more, got -0.1"),
+        (([1.0, 2.0, 1.5], [-0.1], 0.5), r"`thicknesses_um\[0\]` must be 0 or more; got -0.1"),
         (([1 + 1j, 1.5], [], 0.5), "must be real and positive"),
         (([1.0, 1.5 - 1j], [], 0.5), "must have Im ≥ 0"),
         (([1.0, 1.5], [], 0.5, 1.6), "under π/2"),

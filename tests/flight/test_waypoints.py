@@ -88,10 +88,10 @@ HEADER = "east_m,north_m,up_m\n"
         ("way.csv", "east,north,up\n0,0,0\n", r"must have the columns .* got east, north, up"),
         ("way.csv", HEADER + "0,0,x\n1,1,1\n", r"must hold numbers"),
         ("way.csv", HEADER + "0,0,nan\n1,1,1\n", r"finite"),
-        ("way.csv", HEADER + "0,0,1000\n", r"two waypoints or more, got 1"),
+        ("way.csv", HEADER + "0,0,1000\n", r"two waypoints or more; got 1"),
         ("way.csv", HEADER + "0,0,9\n0,0,9\n", r"same place twice"),
-        ("way.csv", HEADER + "0,0,9\n50,0,9\n", r"must cover the frames, 0 to 2 s, got 0 to 0.5 s"),
-        ("way.csv", "time_s," + HEADER + "1,0,0,9\n0,9,0,9\n", r"rising times, got 0 s after 1 s"),
+        ("way.csv", HEADER + "0,0,9\n50,0,9\n", r"must cover the frames, 0 to 2 s; got 0 to 0.5 s"),
+        ("way.csv", "time_s," + HEADER + "1,0,0,9\n0,9,0,9\n", r"rising times; got 0 s after 1 s"),
         ("way.csv", "heading_deg," + HEADER + "1,0,0,9\n0,9,0,9\n", r"all of heading_deg"),
         ("way.kml", "no xml", r"plain KML"),
         ("way.kml", BOMB, r"plain KML"),
@@ -99,7 +99,7 @@ HEADER = "east_m,north_m,up_m\n"
         (
             "way.kml",
             "<kml><LineString><coordinates>0,0 1,1</coordinates></LineString></kml>",
-            r"altitudeMode absolute or relativeToGround, got clampToGround",
+            r"altitudeMode absolute or relativeToGround; got clampToGround",
         ),
         (
             "way.kml",

@@ -44,7 +44,7 @@ def test_a_geotransform_over_the_frames_own_is_told(tmp_path):
 
 def test_without_place_one_sentence_says_what_to_give(tmp_path):
     write(tmp_path, "a.png", 7)
-    with pytest.raises(ValueError, match=r"world file, got none in .*--geotransform"):
+    with pytest.raises(ValueError, match=r"world file; got none in .*--geotransform"):
         open_frames(tmp_path, 1.0)
 
 

@@ -42,15 +42,15 @@ def saved(array, **options):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (saved(COUNTS.astype(float)), "counts of 8 or 16 bits without sign, got float64"),
-        (saved(COUNTS.astype(np.int16)), "counts of 8 or 16 bits without sign, got int16"),
-        (saved(COUNTS[None]), r"one mosaic, rows × columns, got \(1, 8, 12\)"),
+        (saved(COUNTS.astype(float)), "counts of 8 or 16 bits without sign; got float64"),
+        (saved(COUNTS.astype(np.int16)), "counts of 8 or 16 bits without sign; got int16"),
+        (saved(COUNTS[None]), r"one mosaic, rows × columns; got \(1, 8, 12\)"),
         (saved(np.array([[{}]], object), allow_pickle=True), "a whole NumPy file"),
         (saved(COUNTS)[:-2], "a whole NumPy file"),
         (saved(COUNTS).replace(b"(8, 12)", b"(8, 99)"), "a whole NumPy file"),
         (b"\x93NUMPY\x09\x00", "a whole NumPy file"),
         (b"", "a whole NumPy file"),
-        (saved(np.zeros((0, 4), np.uint8)), "must hold elements, got 0 × 4"),
+        (saved(np.zeros((0, 4), np.uint8)), "must hold elements; got 0 × 4"),
     ],
 )
 def test_other_numpy_files_are_refused(tmp_path, data, message):
@@ -62,7 +62,7 @@ def test_other_numpy_files_are_refused(tmp_path, data, message):
 
 def test_pictures_are_no_raws(tmp_path):
     write(tmp_path / "a.png", np.zeros((3, 8, 8), np.uint8), bands=3)
-    with pytest.raises(ValueError, match="must be one mosaic, rows × columns, got 3 bands"):
+    with pytest.raises(ValueError, match="must be one mosaic, rows × columns; got 3 bands"):
         read_raw(tmp_path / "a.png")
     (tmp_path / "b.tif").write_bytes(b"nothing")
     with pytest.raises(ValueError, match="`RAW` must be a raw mosaic"):
@@ -74,7 +74,7 @@ def test_folders_are_taken_in_order_and_names_must_differ(tmp_path):
         (tmp_path / name).touch()
     assert [p.name for p in raw_files([tmp_path])] == ["a.npy", "b.tif"]
     (tmp_path / "a.png").touch()
-    with pytest.raises(ValueError, match="names that differ before the ending, got a twice"):
+    with pytest.raises(ValueError, match="names that differ before the ending; got a twice"):
         raw_files([tmp_path])
     (tmp_path / "none").mkdir()
     with pytest.raises(ValueError, match="must hold raws"):

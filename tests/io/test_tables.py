@@ -32,10 +32,10 @@ def test_wanted_columns_of_a_file_without_comments(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "`t` must have a header row, got the empty file"),
+        ("", "`t` must have a header row; got the empty file"),
         ("# only\n", "`t` must have a header row"),
-        ("a,b\n1,2,3\n4,5,6\n", "`t` must be a CSV file in UTF-8.*does not match.*write numbers with points"),
-        ("a,b\n1,2\n4,5,6\n", "`t` must be a CSV file in UTF-8.*saw 3.*write numbers with points"),
+        ("a,b\n1,2,3\n4,5,6\n", "`t` must be a CSV file in UTF-8.*does not match.*Write numbers with points"),
+        ("a,b\n1,2\n4,5,6\n", "`t` must be a CSV file in UTF-8.*saw 3.*Write numbers with points"),
         ('a,b\n"x,1\n', "`t` must be a CSV file in UTF-8.*inside string"),
     ],
 )

@@ -154,7 +154,7 @@ def test_a_raster_that_lies_nowhere_is_refused(tmp_path, north):
 
 def test_heights_that_no_ground_has_are_refused():
     check_heights(np.array([-400.0, 8000.0, np.nan]), "--dem", "a.tif")
-    with pytest.raises(ValueError, match=r"`--dem` must hold heights of -500 to 9000 m, got -32768 in 50 %"):
+    with pytest.raises(ValueError, match=r"`--dem` must hold heights of -500 to 9000 m; got -32768 in 50 %"):
         check_heights(np.array([3.0, -32768.0]), "--dem", "a.tif")
 
 
@@ -216,7 +216,7 @@ def test_a_full_disk_is_an_os_error_and_leaves_nothing(full_disk):
     for name in ("a.hdr", "b.tif"):
         with pytest.raises(OSError), raster_writer(full_disk / name, kind) as write:  # noqa: PT011
             write(0, 0, noise[..., None, None].astype(np.float32))
-    with pytest.raises(ValueError, match=r"`output` must be writable, got .*No space left"):
+    with pytest.raises(ValueError, match=r"`output` must be writable; got .*No space left"):
         write_whole(full_disk / "c.nc", kind, noise[..., None, None].astype(np.float32))
     assert list(full_disk.iterdir()) == []
 
@@ -243,7 +243,7 @@ def test_a_cube_in_blocks_is_refused_before_hdf5_runs_out_of_room(tmp_path, limi
         with xr.open_dataset(path, engine="h5netcdf") as file:
             np.testing.assert_array_equal(file["r"].values, np.moveaxis(values[..., 0], 2, 0))
     else:
-        with pytest.raises(ValueError, match=r"`output` must be writable, got .*c\.nc \(File too large\)"):
+        with pytest.raises(ValueError, match=r"`output` must be writable; got .*c\.nc: File too large"):
             write_whole(path, kind, values)
         assert list(tmp_path.iterdir()) == []
 

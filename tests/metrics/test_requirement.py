@@ -67,7 +67,7 @@ def test_requirements_are_read_with_channel_and_sign():
     ("text", "match"),
     [
         ("custody", "SCORE>=NUMBER"),
-        ("custdy>=0.8", r"\(did you mean `custody`"),
+        ("custdy>=0.8", r"Did you mean `custody`"),
         ("custody>=nan", "finite"),
         ("a=1", "SCORE"),
     ],

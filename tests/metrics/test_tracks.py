@@ -190,7 +190,7 @@ def test_summary():
     ]
     s = metrics.summarize(epochs)
     assert s["completeness"] == pytest.approx(0.75)
-    assert s["false_per_epoch"] == 0.5 and s["tracks_per_epoch"] == 2
+    assert s["false_per_frame"] == 0.5 and s["tracks_per_frame"] == 2
     assert s["false_per_km2"] == pytest.approx(0.5 / 0.04)  # of a window of 200 m × 200 m
     assert s["held_per_km2"] == pytest.approx(1.5 / 0.04)
     assert set(metrics.HEADLINE) <= set(s)
@@ -241,7 +241,7 @@ def test_errors_name_what_came():
     good = truth((1, 0, 0, FAST))
     with pytest.raises(ValueError, match=r"`area_m` must be \(west, south, east, north\)"):
         metrics.score_epoch(tracks(), good, (1, 0, -1, 2))
-    with pytest.raises(ValueError, match="`track` must hold each id once, got 1 repeated"):
+    with pytest.raises(ValueError, match="`track` must hold each id once; got 1 repeated"):
         score(tracks((7, 0, 0), (7, 1, 0)), good)
     with pytest.raises(ValueError, match=r"`truth.east_m` must be present"):
         score(tracks(), good.drop_vars("east_m"))

@@ -39,7 +39,7 @@ def reflection_mueller(
         If the model is not a known one.
     """
     if distribution not in DISTRIBUTIONS:
-        raise ValueError(f"`distribution` must be one of {', '.join(DISTRIBUTIONS)}, got {distribution!r}")
+        raise ValueError(f"`distribution` must be one of {', '.join(DISTRIBUTIONS)}; got {distribution!r}")
     v, l = np.asarray(view, dtype=float), np.asarray(light, dtype=float)
     half = (v + l) / np.linalg.norm(v + l)
     m00, m01, m22 = fresnel(float(v @ half), float(n), float(k))

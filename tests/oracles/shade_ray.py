@@ -240,7 +240,7 @@ def interface(
         return np.zeros((len(sky.wavelength_um), 3))
     if surface.alpha >= MIRROR_ROUGHNESS:
         raise ValueError(
-            f"`roughness` must be below {MIRROR_ROUGHNESS} for a ray to be mirrored, got {surface.alpha:g}"
+            f"`roughness` must be below {MIRROR_ROUGHNESS} for a ray to be mirrored; got {surface.alpha:g}"
         )
     mirrored, s_axis = look + 2 * view * normal, np.cross(look, normal)
     if hits.mirror_material[ray] >= 0:  # the base of what stands there

@@ -184,7 +184,7 @@ def test_a_png_that_is_cut_off_or_damaged_is_refused(tmp_path, cut):
     flipped = whole[:300] + bytes([whole[300] ^ 1]) + whole[301:]
     path.write_bytes(whole[:cut] if cut > 0 else flipped)
     with pytest.raises(
-        ValueError, match=r"`FRAME` must be a whole PNG file, got .*photo.png, which is cut off"
+        ValueError, match=r"`FRAME` must be a whole PNG file; got .*photo.png, which is cut off"
     ):
         rectify(path, CAMERA, PLACED, 80.0, gsd=8.0)
 
@@ -194,10 +194,10 @@ def test_a_png_that_is_cut_off_or_damaged_is_refused(tmp_path, cut):
     [
         (
             "principal_row = 5000.0",
-            r"`principal_row` must lie in the image, 0 to 119, got 5000 \(add an offset",
+            r"`principal_row` must lie in the image, 0 to 119; got 5000. If it is an offset",
         ),
-        ("principal_column = -3.0", r"`principal_column` must lie in the image, 0 to 159, got -3"),
-        ("[distortion]\nb1 = 500.0", r"`distortion.b1` must lie within ±0.1, got 500 \(in pixels\?"),
+        ("principal_column = -3.0", r"`principal_column` must lie in the image, 0 to 159; got -3"),
+        ("[distortion]\nb1 = 500.0", r"`distortion.b1` must lie within ±0.1; got 500. If it is in pixels"),
     ],
 )
 def test_what_no_camera_has_is_refused(tmp_path, more, message):

@@ -280,9 +280,9 @@ def test_rectify_array_equals_orthorectify_of_the_same_elements():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"method": "sinc"}, "`method` must be one of nearest, bilinear, cubic, got 'sinc'"),
+        ({"method": "sinc"}, "`method` must be one of nearest, bilinear, cubic; got 'sinc'"),
         ({"gsd_m": 0.0}, "`area_m` must hold at least one cell of 0.0 m"),
-        ({"area_m": (0.0, 0.0, 1.0, 30.0)}, "`area_m` must hold at least one cell of 1.5 m, got"),
+        ({"area_m": (0.0, 0.0, 1.0, 30.0)}, "`area_m` must hold at least one cell of 1.5 m; got"),
     ],
 )
 def test_errors_name_what_came(arguments, message):
@@ -294,7 +294,7 @@ def test_errors_name_what_came(arguments, message):
 
 
 def test_rectify_array_refuses_another_size():
-    with pytest.raises(ValueError, match=r"`values` must be 240 × 320 elements, got \(120, 160\)"):
+    with pytest.raises(ValueError, match=r"`values` must be 240 × 320 elements; got \(120, 160\)"):
         rectify_array(np.zeros((120, 160)), CAMERA, pose_at(0, 0.0), level(), GSD_M, AREA_M)
 
 

@@ -31,10 +31,10 @@ def test_rows_broadcast():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ((0.5, 0.0, 0.0, 0.4, 60.0), "`mu0` must be above 0 and at most 1, got 0"),
+        ((0.5, 0.0, 0.0, 0.4, 60.0), "`mu0` must be above 0 and at most 1; got 0"),
         ((-1.0, 0.2, 0.0, 0.4, 60.0), "`optical_depth` must be above 0"),
-        ((0.5, 0.2, 1.5, 0.4, 60.0), "`albedo` must lie within 0 to 1, got 1.5"),
-        ((0.5, 0.2, 0.0, 1.4, 60.0), "`mu` must be above 0 and at most 1, got 1.4"),
+        ((0.5, 0.2, 1.5, 0.4, 60.0), "`albedo` must lie within 0 to 1; got 1.5"),
+        ((0.5, 0.2, 0.0, 1.4, 60.0), "`mu` must be above 0 and at most 1; got 1.4"),
     ],
 )
 def test_bad_input(arguments, sentence):

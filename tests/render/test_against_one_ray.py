@@ -92,5 +92,5 @@ def test_leaves_let_light_through_from_behind():
 def test_a_rough_interface_is_refused():
     sky, library = sky_with(), materials((0.2, 1.5, 0.0, 0.3, 1.0))
     hits = trace(snapshot(plane()), small_camera(1, 1), nadir(), sky.sun_direction, np.array([0.3]))
-    with pytest.raises(ValueError, match=r"`roughness` must be below 0.1 for a ray to be mirrored, got 0.3"):
+    with pytest.raises(ValueError, match=r"`roughness` must be below 0.1 for a ray to be mirrored; got 0.3"):
         shade_ray(hits, 0, sky, library)

@@ -230,7 +230,7 @@ def test_asking_for_nothing_or_for_wavelengths_without_a_sky_is_refused():
         shade(hits, sky, materials(GLASS), np.ones((0, 7)))
     with pytest.raises(ValueError, match="`wavelength_um` must name at least one wavelength"):
         shade(hits, sky, materials(GLASS), wavelength_um=np.array([]))
-    with pytest.raises(ValueError, match=r"must cover 0.4 to 1.2 µm, got data from 0.4 to 1 µm"):
+    with pytest.raises(ValueError, match=r"must cover 0.4 to 1.2 µm; got data from 0.4 to 1 µm"):
         shade(hits, sky, materials(GLASS), wavelength_um=np.array([0.4, 1.2]))
     with pytest.raises(ValueError, match="either channels or wavelength_um"):
         shade(hits, sky, materials(GLASS))

@@ -171,9 +171,9 @@ def test_false_self_shadow_is_rare_at_3_km():
 
 
 def test_bad_poses_are_refused_in_one_sentence():
-    with pytest.raises(ValueError, match=r"`pose.up_m` must be above the ground, got -5 m"):
+    with pytest.raises(ValueError, match=r"`pose.up_m` must be above the ground; got -5 m"):
         trace(snapshot(plane()), small_camera(), nadir(-5.0), UP, np.zeros(1))
-    with pytest.raises(ValueError, match="`pose` must be a true pose to render with, got a reported one"):
+    with pytest.raises(ValueError, match="`pose` must be a true pose to render with; got a reported one"):
         trace(snapshot(plane()), small_camera(), nadir(kind="reported"), UP, np.zeros(1))
 
 
@@ -195,7 +195,7 @@ def test_fixed_instances_stand_where_moving_ones_would():
     area_m2 = (60 / 101) ** 2 * ((ours.material == 1) & (ours.point[:, 0] < 0)).sum()
     assert area_m2 == pytest.approx(4 * 4 * 2, rel=0.1)  # twice the size: four times the area
     np.testing.assert_allclose(np.linalg.norm(ours.normal, axis=1), 1, atol=1e-6)
-    with pytest.raises(ValueError, match=r"`snapshot.fixed` must be 1, as when the tracer was built, got 0"):
+    with pytest.raises(ValueError, match=r"`snapshot.fixed` must be 1, as when the tracer was built; got 0"):
         trace(moving, camera, nadir(), UP, np.zeros(2), tracer=tracer)
 
 
@@ -216,7 +216,7 @@ def test_a_mirror_sees_sunlit_and_shaded_walls():
 
 def test_an_empty_scene_is_refused_in_one_sentence():
     nothing = type(plane())(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros(0, int))
-    with pytest.raises(ValueError, match="`snapshot` must hold at least one triangle, got an empty scene"):
+    with pytest.raises(ValueError, match="`snapshot` must hold at least one triangle; got an empty scene"):
         trace(snapshot(nothing), small_camera(), nadir(), UP, np.zeros(1))
 
 
@@ -243,13 +243,13 @@ def test_a_lens_may_stand_in_a_valley_or_under_a_bridge_but_not_underground():
     for up_m in (-29.0, 5.0, 40.0):
         hits = trace(snapshot(mesh), small_camera(), nadir(up_m), UP, np.zeros(2))
         assert (hits.material[220] == 0) == (up_m < 12)
-    with pytest.raises(ValueError, match=r"`pose.up_m` must be above the ground, got -31 m"):
+    with pytest.raises(ValueError, match=r"`pose.up_m` must be above the ground; got -31 m"):
         trace(snapshot(mesh), small_camera(), nadir(-31.0), UP, np.zeros(2))
     house = snapshot(plane(), [box(10, 10, 8)], [standing(30, 0, 0)], [0])
     sealed = replace(house, static=plane(20))
-    with pytest.raises(ValueError, match="above the ground, got 4 m"):  # in a house that stands on its floor
+    with pytest.raises(ValueError, match="above the ground; got 4 m"):  # in a house that stands on its floor
         trace(sealed, small_camera(), Pose(30, 0, 4), UP, np.zeros(2))
-    with pytest.raises(ValueError, match="above the ground, got -1 m"):  # beyond the edge
+    with pytest.raises(ValueError, match="above the ground; got -1 m"):  # beyond the edge
         trace(house, small_camera(), Pose(5000, 0, -1), UP, np.zeros(2))
 
 
@@ -288,7 +288,7 @@ def test_the_sun_is_a_disc_if_asked():
     np.testing.assert_allclose(soft.sun_visible, expected, atol=4 * one_sample)
     assert ((soft.sun_visible > 0.1) & (soft.sun_visible < 0.9)).sum() > 100
     assert set(np.unique(sharp.sun_visible)) == {0.0, 1.0}
-    with pytest.raises(ValueError, match="`sun_samples` must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="`sun_samples` must be at least 1; got 0"):
         trace(snapshot(mesh), camera, pose, UP, np.ones(2), sun_samples=0)
 
 

@@ -88,12 +88,12 @@ def tree(name="small"):
         },
         coords={"wavelength": WAVELENGTH_UM},
     )
-    scores = {"completeness": 0.45, "purity": 0.75, "false_per_epoch": 0.0, "identity_switches": 1.0}
+    scores = {"completeness": 0.45, "purity": 0.75, "false_per_frame": 0.0, "identity_switches": 1.0}
     quality = xr.Dataset({"psnr": ("time", np.full(6, 30.0), {"units": "dB"})}, coords={"time": TIMES_S})
-    roc = xr.Dataset(
+    froc = xr.Dataset(
         {
             "completeness": ("threshold", [0.6, 0.5, 0.2]),
-            "false_per_epoch": ("threshold", [4.0, 1.0, 0.0]),
+            "false_per_frame": ("threshold", [4.0, 1.0, 0.0]),
             "purity": ("threshold", [0.7, 0.8, np.nan]),
         },
         coords={"threshold": ("threshold", [0.0, 0.06, 0.4], {"key": "reporting.max_false_share"})},
@@ -108,7 +108,7 @@ def tree(name="small"):
             "/pan/tracks": tracks,
             "/pan/queries": queries,
             "/pan/quality": quality,
-            "/pan/roc": roc,
+            "/pan/froc": froc,
             "/truth": truth,
             "/vehicles": vehicles,
         }

@@ -66,9 +66,9 @@ def test_a_paints_mean_is_over_its_vehicles(folder):
 
 
 def test_the_roc_is_the_results(folder):
-    roc = page_data(read_result(folder))["channels"]["pan"]["roc"]
-    assert [p[:2] for p in roc["points"]] == [[4.0, 0.6], [1.0, 0.5], [0.0, 0.2]]
-    assert roc["own"] == [0.0, 0.45] and roc["table"][2] == [0.4, 0.2, 0.0, None]
+    froc = page_data(read_result(folder))["channels"]["pan"]["froc"]
+    assert [p[:2] for p in froc["points"]] == [[4.0, 0.6], [1.0, 0.5], [0.0, 0.2]]
+    assert froc["own"] == [0.0, 0.45] and froc["table"][2] == [0.4, 0.2, 0.0, None]
     html = build_page(read_result(folder))
     assert "<td>pan</td><td>0.4</td><td>0.2</td><td>0</td><td>–</td>" in html
 
@@ -129,7 +129,7 @@ def test_sections_without_content_are_absent(tmp_path, folder):
     assert 'id="quality-section"' in html and 'href="#figures"' not in html and 'id="figures"' not in html
     (folder / "result.nc").unlink()
     html = build_page(read_result(folder))
-    for gone in ("quality-section", "scores", "roc", "track", "track-card"):
+    for gone in ("quality-section", "scores", "froc", "track", "track-card"):
         assert f'id="{gone}"' not in html and f'href="#{gone}"' not in html
     assert 'id="flight"' in html and 'id="design"' in html
 
@@ -138,7 +138,10 @@ def test_how_well_positions_can_be_known_stands_on_the_page(folder):
     result = add_loss_budget(folder, group="pan")
     assert "bound from sensor noise" not in build_page(result) and result.tree is not None
     result.tree["bound/pan"].attrs.update({"position_bound_sensor_median_m": 0.0123})
-    assert "pan, median position error: bound from sensor noise 0.012 m." in build_page(result)
+    assert (
+        "pan, median position error of visible moving vehicles: lower bound from sensor noise 0.012 m."
+        in build_page(result)
+    )
 
 
 def test_names_with_html_are_escaped(tmp_path):

@@ -221,7 +221,7 @@ def test_scores_quality_roc_design_devices_and_provenance_are_there(opened, tmp_
         "Track purity of the flight so far, Eq. (14)",
     ]
     assert page.locator("#quality-charts figcaption").inner_text() == "Picture: PSNR"
-    marks = page.locator("#roc-charts circle title").all_text_contents()
+    marks = page.locator("#froc-charts circle title").all_text_contents()
     swept = "pan, reporting.max_false_share"
     assert marks == [
         f"{swept} 0: 4, 0.6",

@@ -134,7 +134,7 @@ def test_html_in_a_studys_table_stays_text_in_a_browser(folder, tmp_path, reques
 )
 def test_a_table_that_is_no_studys_is_refused(folder, change, reason):
     change_results(folder, change)
-    with pytest.raises(ValueError, match=f"`results.parquet` must be a study's table, got {reason}"):
+    with pytest.raises(ValueError, match=f"`results.parquet` must be a study's table; got {reason}"):
         build_study_page(folder, folder.parent)
 
 

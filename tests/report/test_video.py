@@ -50,14 +50,14 @@ def test_a_video_is_written_whole(result, tmp_path, ending):
 
 
 def test_wrong_wishes_are_told(result, tmp_path):
-    with pytest.raises(ValueError, match=r"must be in the film \(rgb, pan, dolp, aop\), got 'ir'"):
+    with pytest.raises(ValueError, match=r"must be in the film \(rgb, pan, dolp, aop\); got 'ir'"):
         Composite.of(result, ("ir",))
     film = replace(result, film=result.film | {"kinds": ["rgb", "pan"]})
     for wished in ("dolp",), ("rgb", "dolp"):
-        with pytest.raises(ValueError, match=r"in the film \(rgb, pan\), got 'dolp'"):
+        with pytest.raises(ValueError, match=r"in the film \(rgb, pan\); got 'dolp'"):
             Composite.of(film, wished)
     assert Composite.of(film).kinds == ("rgb", "pan")
-    with pytest.raises(ValueError, match="`channel` must be one of pan, got 'dolp'"):
+    with pytest.raises(ValueError, match="`channel` must be one of pan; got 'dolp'"):
         Composite.of(result, channel="dolp")
     with pytest.raises(ValueError, match=r"must end in .mp4 or .gif"):
         write_video(tmp_path / "out.avi", [], 1.0)

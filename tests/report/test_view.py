@@ -75,5 +75,5 @@ def test_nothing_is_written(server):
 
 
 def test_a_taken_port_is_said(server):
-    with pytest.raises(ValueError, match=r"must be free to listen on, got 127.0.0.1"):
+    with pytest.raises(ValueError, match=r"must be free to listen on; got 127.0.0.1"):
         serve_result(server.result, port=server.server_address[1])

@@ -35,7 +35,7 @@ def test_what_is_missing_is_said(folder):
     found = read_result(folder)
     assert found.tree is None and found.case is not None
     assert [note.split()[0] for note in found.notes] == ["result.nc", "provenance.toml", "There"]
-    with pytest.raises(ValueError, match=r"`path` must be a finished result, got .*result.nc is missing"):
+    with pytest.raises(ValueError, match=r"`path` must be a finished result; got .*result.nc is missing"):
         glintrack.load_result(folder)
 
 
@@ -108,7 +108,7 @@ def test_a_folder_that_is_no_result(tmp_path):
         ("file", "which is a file"),
         (".", "without any of case"),
     ):
-        with pytest.raises(ValueError, match=f"must be a folder that `glintrack run` wrote, got .*{what}"):
+        with pytest.raises(ValueError, match=f"must be a folder that `glintrack run` wrote; got .*{what}"):
             read_result(tmp_path / name)
     (tmp_path / "study.json").write_text("{}")
     with pytest.raises(ValueError, match=r"got the study .*glintrack report"):

@@ -55,7 +55,7 @@ def test_a_flight_leaves_all_the_page_needs(flown):
         assert np.hypot(*place) <= match_m
     found = loaded["pan/detections"].to_dataset(inherit=False)
     assert set(np.unique(found["time_s"].values)) <= set(tree["pan"]["time"].values)
-    swept = loaded["pan/roc"].to_dataset(inherit=False)
+    swept = loaded["pan/froc"].to_dataset(inherit=False)
     assert float(swept.sel(threshold=swept.attrs["own"])["completeness"]) > 0
     for name in ("sky", "light", "elements"):
         assert (folder / "pictures" / f"{name}.png").stat().st_size > 5000

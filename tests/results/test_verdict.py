@@ -128,7 +128,7 @@ def test_a_flight_too_short_for_a_loss_budget_says_so_and_what_it_sees():
     groups = {"/pan": xr.Dataset({"completeness": ("time", np.full(5, 0.5))}, {"time": np.arange(5.0)})}
     field, missing = reservations(xr.DataTree.from_dict(groups), SCORES, Case().replace(small))
     assert "sees about " in field and "less than the window" in field and " of 100" not in field
-    assert "more than 5 frames (`bound.every`), got 5" in missing
+    assert "more than 5 frames (`bound.every`); the case has 5" in missing
 
 
 def test_frames_before_the_first_track_are_told():
@@ -163,7 +163,7 @@ def test_a_run_too_short_is_undecided(frames, rate_hz, short):
 def test_the_verdict_states_its_denominator():
     of = flown([0.5] * 20)
     of.attrs["area"] = "footprint"
-    of["pan"].attrs |= {"completeness_window": 0.049, "epochs": 18.0}
+    of["pan"].attrs |= {"completeness_window": 0.049, "frames": 18.0}
     said = verdict(of, SCORES)
     assert said.startswith("Pan tracks 33 of 100 moving vehicles in the frame (5 of 100 in the whole window)")
     assert "(mean of 18 frames)" in said
@@ -180,11 +180,11 @@ def test_a_loss_budget_of_other_frames_than_the_scores_says_so():
 def test_few_movers_are_told():
     of = flown([0.5] * 9)
     assert reservations(of, SCORES, None) == []
-    of["pan"].attrs["vehicles_per_epoch"] = 8.2
+    of["pan"].attrs["vehicles_per_frame"] = 8.2
     assert "Only 8 vehicles move" in reservations(of, SCORES, None)[0]
     own = Case().replace({"scene": {"city": "mesh", "mesh_file": "m.glb", "traffic_file": "f.csv"}})
     own = own.replace({"bound.every": 0})
-    of["pan"].attrs["vehicles_per_epoch"] = 1.2
+    of["pan"].attrs["vehicles_per_frame"] = 1.2
     (told,) = [one for one in reservations(of, SCORES, own) if one.startswith("Only")]
     assert told == "Only 1 vehicle moves in the window at a time: shares are not precise."
     assert not [one for one in reservations(of, SCORES, own) if "less than the window" in one]

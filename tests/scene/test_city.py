@@ -258,7 +258,7 @@ def test_vehicles_far_outside_are_dropped(city):
 
 def test_time_outside_the_recording_is_refused(city):
     with pytest.raises(
-        ValueError, match="`time_s` must lie within the recorded traffic, 0 to 120 s, got 121"
+        ValueError, match="`time_s` must lie within the recorded traffic, 0 to 120 s; got 121"
     ):
         city.truth(121.0)
 

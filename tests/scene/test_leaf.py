@@ -62,5 +62,5 @@ def test_library_leaves_pass_green_and_infrared_light_and_no_more_than_there_is(
 
 
 def test_absorptance_that_leaves_nothing_is_refused():
-    with pytest.raises(ValueError, match=r"`leaf_absorptance` must .* below 0.4, got 0.5"):
+    with pytest.raises(ValueError, match=r"`leaf_absorptance` must .* below 0.4; got 0.5"):
         leaf_transmittance(np.array([0.1, 0.6]), 0.5, N)

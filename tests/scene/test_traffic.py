@@ -76,7 +76,7 @@ def test_vehicle_is_there_only_from_its_first_to_its_last_sample():
     traffic = driving(np.arange(10.0), np.zeros(10), np.full(10, 90.0), first=5, steps=40)
     assert traffic.at(0.4)[0].size == 0 and traffic.at(0.5)[0].size == 1
     assert traffic.at(1.4)[0].size == 1 and traffic.at(1.5)[0].size == 0
-    with pytest.raises(ValueError, match=r"`time_s` must lie within the recorded traffic, 0 to 3.9 s, got 4"):
+    with pytest.raises(ValueError, match=r"`time_s` must lie within the recorded traffic, 0 to 3.9 s; got 4"):
         traffic.at(4.0)
 
 

@@ -42,17 +42,17 @@ def test_a_material_comes_after_the_librarys(tmp_path):
     [
         (
             {"values": (10, 30, 30)},
-            "`lilac` must have a reflectance within 0 to 1, got 30 .*divide percent by 100",
+            "`lilac` must have a reflectance within 0 to 1; got 30 .*Divide percent by 100",
         ),
-        ({"values": (0.1, -0.2, 0.3)}, "`lilac` must have a reflectance within 0 to 1, got -0.2"),
+        ({"values": (0.1, -0.2, 0.3)}, "`lilac` must have a reflectance within 0 to 1; got -0.2"),
         ({"values": (0.1, "x", 0.3)}, "`lilac.csv` must hold numbers"),
         ({"last_um": 1.0}, "lilac.csv"),
         (
             {"text": LILAC.replace("lilac.csv", "gone.csv")},
             "`gone.csv` must be a file in the materials file",
         ),
-        ({"text": LILAC.replace("[lilac]", "[asphalt]")}, "must give new names, got 'asphalt'"),
-        ({"text": LILAC.replace("0.003", "7")}, "`lilac` must be a material: `roughness` must be .*1, got 7"),
+        ({"text": LILAC.replace("[lilac]", "[asphalt]")}, "must give new names; got 'asphalt'"),
+        ({"text": LILAC.replace("0.003", "7")}, "`lilac` must be a material: `roughness` must be .*1; got 7"),
         (
             {"text": LILAC.replace("roughness", "roughnes")},
             "`lilac` must be a material: `roughness?` must be ",
@@ -61,13 +61,13 @@ def test_a_material_comes_after_the_librarys(tmp_path):
         ({"text": LILAC + 'optical_constants = "water_nk"\n'}, "exactly one of refractive_index, optical"),
         (
             {"text": LILAC.replace("refractive_index = 1.48", 'optical_constants = "mud_nk"')},
-            "`optical_constants` must be one of the packaged spectra, got 'mud_nk'",
+            "`optical_constants` must be one of the packaged spectra; got 'mud_nk'",
         ),
         (
             {"text": LILAC.replace("refractive_index = 1.48", f'optical_constants = "{"m" * 300}"')},
-            "`optical_constants` must be one of the packaged spectra, got 'mmm",
+            "`optical_constants` must be one of the packaged spectra; got 'mmm",
         ),
-        ({"text": LILAC + "leaf_absorptance = 0.8\n"}, "`leaf_absorptance` must .* below 0.7, got 0.8"),
+        ({"text": LILAC + "leaf_absorptance = 0.8\n"}, "`leaf_absorptance` must .* below 0.7; got 0.8"),
         ({"text": "[lilac"}, "`materials_file` must be valid TOML"),
         ({"text": "lilac = 3"}, "must hold one table a material"),
     ],
@@ -115,7 +115,7 @@ def test_panels_lie_where_they_are_asked_for_with_nothing_on_them(tmp_path):
 def test_a_panel_of_an_unknown_material_is_refused():
     panel = {"material": "panel_55", "east_m": 0, "north_m": 0}
     with pytest.raises(
-        ValueError, match=r"`scene.panels.0.material` must be one of the library.*did you mean"
+        ValueError, match=r"`scene.panels.0.material` must be one of the library.*Did you mean"
     ):
         build_scene(SceneDesign(panels=[panel]))
 

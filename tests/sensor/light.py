@@ -13,7 +13,7 @@ NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 # so much light and so fine a quantizer that noise is under 1e-6 of the signal
 NOISELESS = {
     "integration_time_ms": 1000.0,
-    "clock_hz": 1.0,
+    "max_frame_rate_hz": 1.0,
     "read_noise_e": 0.0,
     "bits": 24,
     "full_well_e": 1e12,

@@ -43,6 +43,6 @@ def test_full_well_and_noise_agree_with_another_manual():
 
 def test_an_unknown_name_is_refused_with_the_nearest():
     with pytest.raises(
-        ValueError, match=r"`--sensor` must be one of .* got 'imx250mz' \(did you mean `imx250mzr`\?\)"
+        ValueError, match=r"`--sensor` must be one of .* got 'imx250mz'\. Did you mean `imx250mzr`\?"
     ):
         find_item("detectors", "imx250mz")

@@ -59,7 +59,7 @@ def test_exposure_makes_good_what_takes_light():
     assert exposure_ms(layout="0-45-90-135") == pytest.approx(0.17, **about)
     assert exposure_ms(band_um=(0.5, 0.6)) > 0.085 * 3  # a sixth of the band, at the peak of the light
     assert exposure_ms(f_number=64.0) == MAX_EXPOSURE_MS
-    assert exposure_ms(f_number=64.0, clock_hz=2000.0, layout="pan") < 0.5  # within a frame
+    assert exposure_ms(f_number=64.0, max_frame_rate_hz=2000.0, layout="pan") < 0.5  # within a frame
 
 
 def test_the_laws_give_a_camera_as_sold():
@@ -88,7 +88,7 @@ def test_a_ready_design_keeps_no_value_of_another_pitch():
 
 
 def test_an_error_of_a_key_is_not_followed_by_those_of_derived_keys():
-    with pytest.raises(ValueError, match=r"^`pitch_um` must be greater than or equal to 1 µm, got -1 µm$"):
+    with pytest.raises(ValueError, match=r"^`pitch_um` must be greater than or equal to 1 µm; got -1 µm\.$"):
         validate_design(SensorDesign, {"pitch_um": -1})
     with pytest.raises(ValueError, match=r"`sensor.band_um` must"):
         validate_design(SensorDesign, {"band_um": (0.4, 1e300)})

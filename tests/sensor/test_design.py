@@ -74,9 +74,9 @@ def test_quantum_efficiency_from_a_file_weighs_the_band(tmp_path):
     [
         ({"integration_time_ms": 200.0}, r"`sensor.integration_time_ms` must end within a frame's 100 ms"),
         ({"rows": 562, "layout": (("open",) * 3,) * 3}, r"`sensor.rows` must be a multiple of 3"),
-        ({"optics": {"zernike_rms_nm": {1: 5.0}}}, "must have keys 2 to 37, got 1"),
+        ({"optics": {"zernike_rms_nm": {1: 5.0}}}, "must have keys 2 to 37; got 1"),
         ({"optics": {"obscuration": 1.0}}, "must leave part of the pupil open"),
-        ({"quantum_efficiency": 0.0}, "must be above 0 and at most 1, got 0"),
+        ({"quantum_efficiency": 0.0}, "must be above 0 and at most 1; got 0"),
     ],
 )
 def test_designs_that_contradict_themselves_are_refused(keys, message):
@@ -96,16 +96,16 @@ def write(path, text):
         (
             "quantum_efficiency",
             "wavelength_um,qe\n0.4,0.5\n",
-            "must have columns wavelength_um and efficiency, got no efficiency among wavelength_um, qe",
+            "must have columns wavelength_um and efficiency; got no efficiency among wavelength_um, qe",
         ),
-        ("quantum_efficiency", "wavelength_um,efficiency\n0.4,x\n1,1\n", "must hold numbers, got .*'x'"),
-        ("quantum_efficiency", "wavelength_um,efficiency\n0.4,1\n", "at least 2 rows, got 1"),
+        ("quantum_efficiency", "wavelength_um,efficiency\n0.4,x\n1,1\n", "must hold numbers; got .*'x'"),
+        ("quantum_efficiency", "wavelength_um,efficiency\n0.4,1\n", "at least 2 rows; got 1"),
         (
             "quantum_efficiency",
             "wavelength_um,efficiency\n0.4,0.5\n1,1.5\n",
-            "must have efficiency within 0 to 1, got 1.5 at 1 µm",
+            "must have efficiency within 0 to 1; got 1.5 at 1 µm",
         ),
-        ("response", "wavelength_um,response\n1,0.5\n0.4,0.5\n", "rising wavelengths, got 1 before 0.4"),
+        ("response", "wavelength_um,response\n1,0.5\n0.4,0.5\n", "rising wavelengths; got 1 before 0.4"),
         ("reference_spectrum", "wavelength_um,radiance\n0.4,0\n1,0\n", "must have light in the pan band"),
     ],
 )
@@ -128,7 +128,7 @@ def test_polarizer_files_that_are_none_are_refused(tmp_path):
         {"pass_transmittance": ("wavelength", [0.6, 0.6]), "block_transmittance": ("wavelength", [0.1, 0.1])},
         coords={"wavelength": [0.5, 0.9]},
     ).to_netcdf(short, engine="h5netcdf")
-    with pytest.raises(ValueError, match=r"`sensor.polarizer` must cover 0.4 to 1 µm, got data from 0.5"):
+    with pytest.raises(ValueError, match=r"`sensor.polarizer` must cover 0.4 to 1 µm; got data from 0.5"):
         sensor_of(polarizer=str(short))
 
 
@@ -147,9 +147,9 @@ def test_bands_to_the_short_wave_infrared():
 
 
 def test_a_mirror_must_settle_and_expose_within_a_frame():
-    assert plain_sensor(clock_hz=10.0, mirror_settling_ms=90.0).mirror_settling_ms == 90.0
+    assert plain_sensor(max_frame_rate_hz=10.0, mirror_settling_ms=90.0).mirror_settling_ms == 90.0
     with pytest.raises(ValueError, match=r"`sensor.mirror_settling_ms` must leave the 10 ms of exposure"):
-        plain_sensor(clock_hz=10.0, mirror_settling_ms=91.0)
+        plain_sensor(max_frame_rate_hz=10.0, mirror_settling_ms=91.0)
     assert plain_sensor(layout="pan", mirror_settling_ms=500.0).has_mirror is False
 
 

@@ -134,7 +134,7 @@ def test_an_unknown_reading_stays_where_it_is_used():
 
 
 def test_superpixels_of_another_side_are_refused():
-    message = "must be superpixel, bilinear or ppid for superpixels of 3 × 3, got 'eari'"
+    message = "must be superpixel, bilinear or ppid for superpixels of 3 × 3; got 'eari'"
     with pytest.raises(ValueError, match=f"`demosaic` {message}"):
         measure_polarization(np.ones((12, 12), np.uint16), RawDesign(layout=THREE, demosaic="eari"))
     with pytest.raises(ValueError, match=f"`sensor.demosaic` {message}"):

@@ -101,5 +101,5 @@ def test_nothing_comes_back_over_a_grating_and_a_window_must_fit():
     assert not ghosts(read_lens("spectrometer"), 1, object_reflectance=0.5)
     huge = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e12, -1.0)
     for thickness_mm, gap_mm in ((1.0, 400.0), *((v, 1.0) for v in huge), *((1.0, v) for v in huge)):
-        with pytest.raises(ValueError, match=r"^`window` must fit into the 320.027 mm before the image, got"):
+        with pytest.raises(ValueError, match=r"^`window` must fit into the 320.027 mm before the image; got"):
             with_window(read_lens("relay"), thickness_mm, gap_mm)

@@ -51,7 +51,7 @@ def test_rows_are_those_of_a_mueller_matrix():
 )
 def test_polarizers_that_do_not_determine_the_vector_are_refused(layout, number):
     with pytest.raises(
-        ValueError, match=rf"determine S0, S1 and S2, got a condition number of ({number}|\d)"
+        ValueError, match=rf"determine S0, S1 and S2; got a condition number of ({number}|\d)"
     ):
         invert(analyser_matrix(superpixel(layout), 1.0))
 
@@ -65,9 +65,9 @@ def test_a_polarizer_that_does_not_polarize_is_refused():
     ("layout", "message"),
     [
         ("mirror-0-45", "must be one of mirror-0-60-120, 0-45-90-135, pan, mirror or a matrix"),
-        ((("mirror", 0.0), (60.0,)), r"must be square, 1 to 4 elements a side, got rows of \[2, 1\]"),
+        ((("mirror", 0.0), (60.0,)), r"must be square, 1 to 4 elements a side; got rows of \[2, 1\]"),
         ((), "must be square"),
-        ((("mirror", "mirror"), (0.0, 60.0)), "must hold one mirror at most, got 2"),
+        ((("mirror", "mirror"), (0.0, 60.0)), "must hold one mirror at most; got 2"),
         ((("glass", 0.0), (60.0, 120.0)), r"got \['glass'\]"),
         (((math.nan, 0.0), (60.0, 120.0)), "angles in degrees"),
     ],

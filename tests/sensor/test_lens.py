@@ -74,9 +74,9 @@ def test_prescriptions_that_are_none_are_refused(tmp_path):
         read_lens("planar")
     bad = tmp_path / "bad.toml"
     bad.write_text('name = "x"\nobject_distance_mm = 1\nf_number = 5\nfields_mm = [[0, 0]]\n')
-    with pytest.raises(ValueError, match=r"`wavelengths_um` must be given, got only name"):
+    with pytest.raises(ValueError, match=r"`wavelengths_um` must be given; got only name"):
         read_lens(str(bad))
-    with pytest.raises(ValueError, match="must have one stop, got 0"):
+    with pytest.raises(ValueError, match="must have one stop; got 0"):
         LensDesign(
             name="x",
             object_distance_mm=math.pi,

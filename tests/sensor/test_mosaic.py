@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from glintrack.core.records import ServedQueries
-from glintrack.sensor import detector_readout, mosaic_of
+from glintrack.sensor import array_readout, mosaic_of
 from tests.sensor.light import NOISELESS, sensor_of, uniform
 
 
@@ -13,7 +13,7 @@ def test_sigma_is_the_spread_of_repeated_exposures():
     sensor = sensor_of()
     light = uniform(sensor, (20.0, 0, 0))(sensor.channels).values
     readings = [
-        mosaic_of(detector_readout(light, sensor, np.random.default_rng(k)), sensor, nobody())
+        mosaic_of(array_readout(light, sensor, np.random.default_rng(k)), sensor, nobody())
         for k in range(400)
     ]
     electrons = np.stack([m.electrons for m in readings])
@@ -45,7 +45,7 @@ def test_gains_give_back_the_stokes_vector(polarizer):
     stokes = (20.0, 3.0, -2.0)
     sensor = sensor_of(polarizer=polarizer, **NOISELESS)
     light = uniform(sensor, stokes)(sensor.channels).values
-    mosaic = mosaic_of(detector_readout(light, sensor, np.random.default_rng(1)), sensor, nobody())
+    mosaic = mosaic_of(array_readout(light, sensor, np.random.default_rng(1)), sensor, nobody())
     places = [(i, j) for i in range(2) for j in range(2) if not isinstance(mosaic.layout[i][j], str)]
     electrons = np.array([mosaic.electrons[20 + i, 20 + j] for i, j in places])
     found = np.linalg.inv(np.array([mosaic.gains[place] for place in places])) @ electrons

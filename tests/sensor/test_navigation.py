@@ -109,5 +109,5 @@ def test_designs_refuse_what_cannot_be(keys):
 
 
 def test_one_generator_a_frame():
-    with pytest.raises(ValueError, match="one generator a frame, got 1 for 2"):
+    with pytest.raises(ValueError, match="one generator a frame; got 1 for 2"):
         navigation_errors(NavigationDesign(), np.zeros(2), [np.random.default_rng(0)])

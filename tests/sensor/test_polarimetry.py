@@ -173,7 +173,7 @@ def test_three_by_three_superpixels_come_to_their_centre():
 
 def test_boost_multiplies_and_cuts_off():
     np.testing.assert_allclose(boost(np.array([0.01, 0.15, 0.3])), [0.05, 0.75, 1.0])
-    with pytest.raises(ValueError, match="`factor` must be positive, got 0"):
+    with pytest.raises(ValueError, match="`factor` must be positive; got 0"):
         boost(np.zeros(2), 0)
 
 

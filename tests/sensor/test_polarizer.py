@@ -9,7 +9,7 @@ import xarray as xr
 from glintrack import stokes
 from glintrack.camera import Camera, Pose, rays
 from glintrack.devices import wire_grid
-from glintrack.sensor import Polarizer, build_sensor, detector_readout, expose, load_polarizer
+from glintrack.sensor import Polarizer, array_readout, build_sensor, expose, load_polarizer
 from glintrack.sensor.fixed_pattern import chief_rays, departure_at_incidence
 from glintrack.sensor.polarizer import axis_at_incidence, from_table, from_transmittances
 from tests.oracles import paper_polarizer
@@ -160,7 +160,7 @@ def test_chief_rays_turn_the_axes_of_a_frame():
     normal = sensor_of(**keys)
     tilted = sensor_of(polarizer_incidence="chief_ray", **keys)
     read = [
-        detector_readout(uniform(s, (50.0, 50.0, 0.0))(s.channels).values, s, np.random.default_rng(0))
+        array_readout(uniform(s, (50.0, 50.0, 0.0))(s.channels).values, s, np.random.default_rng(0))
         for s in (normal, tilted)
     ]
     incidence, azimuth = chief_rays(tilted.design)
@@ -190,7 +190,7 @@ def test_each_spread_is_what_its_element_reads():
 
     def rms(place, **spread):
         s = sensor_of(polarizer_spread=spread, **keys)
-        values = detector_readout(uniform(s, light)(s.channels).values, s, np.random.default_rng(0))[place]
+        values = array_readout(uniform(s, light)(s.channels).values, s, np.random.default_rng(0))[place]
         return values.astype(float).std()
 
     assert rms(where[45], gain=0.01) == pytest.approx(0.01 * 50, rel=tenth)
@@ -269,7 +269,7 @@ def test_a_full_matrix_reaches_the_frame(wave_plate_file):
 @pytest.mark.parametrize("name", ["grid_z", "z" * 300])
 def test_a_name_that_is_neither_a_model_nor_a_file_is_refused(name):
     with pytest.raises(
-        ValueError, match=r"`sensor.polarizer` must be .* or a NetCDF file, got '(grid_z|zzz)"
+        ValueError, match=r"`sensor.polarizer` must be .* or a NetCDF file; got '(grid_z|zzz)"
     ):
         load_polarizer(plain_sensor(polarizer=name))
 

@@ -174,7 +174,7 @@ def test_a_wrong_calibration_is_one_sentence(tmp_path, variables, message):
 
 
 def test_a_missing_calibration_is_one_sentence(tmp_path):
-    with pytest.raises(ValueError, match="`calibration` must be a readable file, got"):
+    with pytest.raises(ValueError, match="`calibration` must be a readable file; got"):
         read_analysers(tmp_path / "none.nc")
 
 
@@ -191,7 +191,7 @@ def test_full_elements_leave_holes_and_too_many_are_refused():
     assert holes == {"superpixel": 1, "bilinear": 9}
     raw[:8] = 65535
     with pytest.raises(
-        ValueError, match=r"at most 5 % of its elements full, at 65535 counts, got 25.3 % in the"
+        ValueError, match=r"at most 5 % of its elements full, at 65535 counts; got 25.3 % in the"
     ):
         measure_polarization(raw)
     found = measure_polarization(raw, RawDesign(max_saturated=0.3, demosaic="superpixel"))
@@ -230,10 +230,10 @@ def test_bad_mosaics_are_one_sentence(shape, design, message):
 
 def test_a_calibration_of_another_camera_is_refused():
     raw = np.full((ROWS, COLUMNS), 100, np.uint8)
-    with pytest.raises(ValueError, match="must be of the raw's 32 × 40 elements, got 8 × 8"):
+    with pytest.raises(ValueError, match="must be of the raw's 32 × 40 elements; got 8 × 8"):
         measure_polarization(raw, calibration=Analysers(rows_of(LAYOUTS["0-45-90-135"], (8, 8))))
     alike = np.broadcast_to([1.0, 0.5, 0.0], (ROWS, COLUMNS, 3))
     with pytest.raises(
-        ValueError, match="determine S0, S1 and S2 in every superpixel, got others in that of row 0"
+        ValueError, match="determine S0, S1 and S2 in every superpixel; got others in that of row 0"
     ):
         measure_polarization(raw, calibration=Analysers(alike))

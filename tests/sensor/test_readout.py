@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from glintrack.sensor import detector_readout, noise_equivalent_radiance
+from glintrack.sensor import array_readout, noise_equivalent_radiance
 from glintrack.sensor.fixed_pattern import CALIBRATION_FRAMES
 from tests.sensor.light import sensor_of, uniform
 
@@ -15,7 +15,7 @@ EVEN = {"layout": "pan", "optics": {"relative_illumination": "even"}}
 
 def readings(sensor, level, seed=0):
     light = uniform(sensor, (level, 0, 0))(sensor.channels).values
-    return detector_readout(light, sensor, np.random.default_rng(seed)).astype(float)
+    return array_readout(light, sensor, np.random.default_rng(seed)).astype(float)
 
 
 @pytest.mark.parametrize("mean", [0.3, 4.0, 60.0, 3000.0])
@@ -87,7 +87,7 @@ def test_a_uniform_field_returns_its_radiance(cells):
         optics={"scatter_fraction": 0.05, "vignetting": 0.3, "zernike_rms_nm": {8: 100.0}},
     )
     light = uniform(sensor, (80.0, 0, 0), cells=cells)(sensor.channels).values
-    found = detector_readout(light, sensor, np.random.default_rng(0))
+    found = array_readout(light, sensor, np.random.default_rng(0))
     assert found.mean() == pytest.approx(80, rel=half_a_percent)
     corner = found[:16, :16].mean()
     assert corner == pytest.approx(80, rel=2 * half_a_percent)  # fewer elements, less light: 2σ is 0.4 %

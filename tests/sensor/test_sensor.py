@@ -122,7 +122,13 @@ def test_ideal_polarizers_and_fesenkov_recover_a_uniform_field(q, u):
 
 def test_without_noise_fesenkov_is_exact():
     sensor = sensor_of(
-        **{**QUIET, "integration_time_ms": 1000.0, "clock_hz": 1.0, "full_well_e": 1e12, "f_number": 1.0}
+        **{
+            **QUIET,
+            "integration_time_ms": 1000.0,
+            "max_frame_rate_hz": 1.0,
+            "full_well_e": 1e12,
+            "f_number": 1.0,
+        }
     )
     measured = frame_of(sensor, (50.0, 20.0, -10.0))["stokes_radiance"].values
     shot = 5 * math.sqrt(2 * 50 / sensor.electrons_per_radiance)
@@ -164,7 +170,13 @@ def test_bilinear_demosaicking_removes_the_linear_part_of_that_error(axis):
     light[..., 0, 0] = ramp
     found = {}
     for demosaic in ("superpixel", "bilinear"):
-        quiet = {**QUIET, "integration_time_ms": 1000.0, "clock_hz": 1.0, "full_well_e": 1e12, "bits": 24}
+        quiet = {
+            **QUIET,
+            "integration_time_ms": 1000.0,
+            "max_frame_rate_hz": 1.0,
+            "full_well_e": 1e12,
+            "bits": 24,
+        }
         sensor = sensor_of(**{**quiet, **SHARP}, demosaic=demosaic)
         frame = expose(
             lambda channels, pixels=None: xr.DataArray(light), sensor, NONE_SERVED, np.random.default_rng(0)
@@ -197,7 +209,7 @@ def test_radiance_of_another_shape_is_refused():
     sensor = sensor_of()
     wrong = xr.DataArray(np.zeros((4, 4, 1, 3)))
     with pytest.raises(
-        ValueError, match=r"`radiance` must give a frame of \(64, 80, 1, 3\) .*, got \(4, 4, 1, 3\)"
+        ValueError, match=r"`radiance` must give a frame of \(64, 80, 1, 3\) .*; got \(4, 4, 1, 3\)"
     ):
         expose(lambda channels, pixels=None: wrong, sensor, NONE_SERVED, np.random.default_rng(0))
 
@@ -318,5 +330,5 @@ def test_designs_refuse_what_cannot_be_built(design, message):
 
 @pytest.mark.parametrize("key", ["band_um", "spectrometer_um"])
 def test_bands_must_lie_within_the_light(key):
-    with pytest.raises(ValueError, match=rf"`sensor\.{key}` must lie within .* 0.4 to 1 µm, got 0.4 to 1.1"):
+    with pytest.raises(ValueError, match=rf"`sensor\.{key}` must lie within .* 0.4 to 1 µm; got 0.4 to 1.1"):
         sensor_of(**{key: (0.4, 1.1)})

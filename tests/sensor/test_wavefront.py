@@ -156,7 +156,7 @@ def test_coma_points_along_the_field_and_grows_with_it():
 
 def test_a_closed_pupil_is_refused():
     with pytest.raises(
-        ValueError, match=r"`sensor.optics.obscuration` must leave part of the pupil open, got 1"
+        ValueError, match=r"`sensor.optics.obscuration` must leave part of the pupil open; got 1"
     ):
         design_of(optics={"obscuration": 1.0})
     shut = design_of().model_copy(

@@ -51,7 +51,7 @@ def cheap(case, task):
         scores[channel] = {
             "completeness": mean,
             "purity": 0.5 + gain,
-            "false_per_epoch": 10 * mean,
+            "false_per_frame": 10 * mean,
             "data_rate_mbit_s": 100 / case.sensor.pitch_um,
             "over_time": {"completeness": [mean + w for w in wobble]},
         }

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from glintrack.study import StudyDesign
-from glintrack.study.analysis import effects, pareto_front, roc, sobol_indices
+from glintrack.study.analysis import effects, froc, pareto_front, sobol_indices
 from glintrack.study.comparisons import DOLP_LESS_PAN, contrast_scores
 from glintrack.study.design import build_axes, unit_points
 from glintrack.study.intervals import Units, units
@@ -121,7 +121,7 @@ def table():
                     "status": "finished",
                     SWEPT: threshold,
                     "completeness": float(np.mean(series)) - 0.1 * point,
-                    "false_per_epoch": 8 / threshold,
+                    "false_per_frame": 8 / threshold,
                     "over_time": json.dumps({"completeness": series}),
                 }
             )
@@ -137,15 +137,15 @@ def test_pan_and_dolp_are_compared_in_pairs():
 def test_blocks_of_time_are_units():
     found = units(table(), [SWEPT], "completeness", "pan")
     np.testing.assert_allclose(found.values[0], [0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
-    assert units(table(), [SWEPT], "false_per_epoch", "pan").values.shape == (2, 1)
+    assert units(table(), [SWEPT], "false_per_frame", "pan").values.shape == (2, 1)
     with pytest.raises(ValueError, match="`response` must be a score"):
         units(table(), [SWEPT], "beauty", "pan")
 
 
 def test_a_swept_threshold_gives_a_curve_each():
-    found = roc(table(), [SWEPT])
-    assert len(found) == 4 and list(found[found["channel"] == "pan"]["false_per_epoch"]) == [4, 2]
-    assert roc(table(), []).empty
+    found = froc(table(), [SWEPT])
+    assert len(found) == 4 and list(found[found["channel"] == "pan"]["false_per_frame"]) == [4, 2]
+    assert froc(table(), []).empty
 
 
 def test_one_at_a_time_each_axis_is_told_by_itself():

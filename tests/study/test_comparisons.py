@@ -196,7 +196,7 @@ BASE = "channels = ['pan', 'dolp']\n[flight]\nframes = 8\n"
                 "of": {"channel": "pan", "sensor.pitch_um": 17},
                 "against": {"channel": "pan", "sensor.pitch_um": 9},
             },
-            "must name values of the study's axes, got sensor.pitch_um = 9",
+            "must name values of the study's axes; got sensor.pitch_um = 9",
         ),
         ({"of": {"channel": "pen"}, "against": {"channel": "pan"}}, "got channel = 'pen'"),
     ],

@@ -111,7 +111,7 @@ def test_a_full_disk_costs_the_cache_not_the_case(three_cars, tmp_path, monkeypa
     "changes",
     [
         {"sensor": {"polarizer": "grid_a"}},
-        {"sensor": {"f_number": 8.0, "clock_hz": 5.0}},
+        {"sensor": {"f_number": 8.0, "max_frame_rate_hz": 5.0}},
         {"sensor": {"optics": {"defocus_um": 10.0}}},
         {"track": {"detect": {"detector": "median-motion", "dolp_boost": 5.0}}},
         {"navigation": {"position_rms_m": 1.0}},

@@ -58,8 +58,8 @@ def test_altitude_follows_off_nadir_angle_at_constant_slant_range(tmp_path):
 
 def test_frames_follow_rate_and_clock_and_the_field_of_view_stays(tmp_path):
     text = (
-        "[constraints]\nduration_s = 10\nrate_is_clock = true\nconstant_field = true\n"
-        "[axes]\nsensor.clock_hz = [2, 10]\nsensor.pitch_um = [17, 8.5]\n"
+        "[constraints]\nduration_s = 10\nat_max_frame_rate = true\nconstant_field = true\n"
+        "[axes]\nsensor.max_frame_rate_hz = [2, 10]\nsensor.pitch_um = [17, 8.5]\n"
     )
     slow, fast, fine = plan(tmp_path, text).cases.values()
     assert (slow.flight.frames, fast.flight.frames, fast.flight.rate_hz) == (20, 100, 10)
@@ -110,8 +110,8 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("[axes]\nsensor.pich_um = [17]", "did you mean `pitch_um`"),
-        ("[axes]\nsensr.pitch_um = [17]", "did you mean `sensor`"),
+        ("[axes]\nsensor.pich_um = [17]", "Did you mean `pitch_um`"),
+        ("[axes]\nsensr.pitch_um = [17]", "Did you mean `sensor`"),
         ("[axes]\nsensor.pitch_um = [17, 'wide']", "values of one type"),
         ("[axes]\nsensor.pitch_um = ['wide']", "`sensor.pitch_um` must be a number in µm"),
         ("[axes]\nsensor.pitch_um = [17, 0.5]", "`sensor.pitch_um` must be greater than or equal to 1"),
@@ -121,7 +121,7 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
         ("[axes]\natmosphere.aerosol = ['clear', 'smog']", "aerosol` must be 'none', 'clear'"),
         ("[axes]\natmosphere.local_time_h = [12, 23]", "local_time_h"),
         ("[axes]\nseed.root = [1]", "`seed` must be a whole number"),
-        ("desing = 'list'", "did you mean `design`"),
+        ("desing = 'list'", "Did you mean `design`"),
         ("", "`axes` must name at least one key"),
         ("design = 'sobol'\n[axes]\nsensor.pitch_um = {from = 8, to = 17}", "`samples` must be given"),
         ("design = 'sobol'\nsamples = 12\n[axes]\nsensor.pitch_um = {from = 8, to = 17}", "power of two"),
@@ -141,11 +141,11 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
         ("[constraints]\nslant_range_m = 9000\n[axes]\nflight.off_nadir_deg = [0]\n", None),
         ("[constraints]\nslant_range_m = 15000\n[axes]\nflight.off_nadir_deg = [50, 0]\n", "altitude_m"),
         (
-            "design = 'factorial'\n[axes]\nflight.rate_hz = [2, 10]\nsensor.clock_hz = [10, 2]",
-            "sensor.clock_hz",
+            "design = 'factorial'\n[axes]\nflight.rate_hz = [2, 10]\nsensor.max_frame_rate_hz = [10, 2]",
+            "sensor.max_frame_rate_hz",
         ),
         ("seeds = [1]\nreplicates = [{seed = 2}]\n[axes]\nsensor.pitch_um = [17]", "together with"),
-        ("replicates = 2\n[axes]\nsensor.pitch_um = [17]", "(`seeds = [1, 2]` for replicates that"),
+        ("replicates = 2\n[axes]\nsensor.pitch_um = [17]", "For replicates that differ in noise"),
         ("[axes]\nsensor.pitch_um = [17]\nsize = [{label = 'a', sensor.pitch_um = 8}]", "sets too"),
         ("[axes]\nsize = [{sensor.pitch_um = 8}]", "a `label`"),
         ("[axes]\nstatus = [{label = 'a', seed = 1}]", "must not be named as a column"),

@@ -207,7 +207,7 @@ def check_full_disk(tmp_path, out):
     folder = StudyFolder(out)
     with folder.open(plan), serial() as pool, pytest.raises(ValueError, match="No space left") as caught:
         run_study(plan, folder, pool, tmp_path, bulky)
-    assert "finished cases are saved" in str(caught.value)
+    assert "Finished cases are saved" in str(caught.value)
     done = [key for key in plan.cases if folder.outcome(key)]
     assert 1 <= len(done) < 12
     assert not list((out / "cases").glob(".*"))
@@ -308,10 +308,11 @@ def test_only_frames_that_another_case_needs_are_kept(tmp_path):
     kept = []
 
     def spy(case, task):
-        kept.append((case.sensor.clock_hz, task.keeps_hits))
+        kept.append((case.sensor.max_frame_rate_hz, task.keeps_hits))
         return cheap(case, task)
 
-    text = "[constraints]\nduration_s = 1\nrate_is_clock = true\n[axes]\nsensor.clock_hz = [2, 10]\n"
+    text = "[constraints]\nduration_s = 1\nat_max_frame_rate = true\n[axes]\n"
+    text += "sensor.max_frame_rate_hz = [2, 10]\n"
     fly(tmp_path, text, fly_one=spy)
     assert kept == [(2.0, (0.0, 0.5)), (10.0, (0.0, 0.5))]
 

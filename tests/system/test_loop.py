@@ -133,7 +133,7 @@ def test_nothing_is_detected_before_the_end_of_learning_and_scores_begin_there(t
     learnt = design.track.count_learning_frames(5.0)
     assert learnt == {"mosaic": 4, "median-motion": 2}[detector]
     assert sum(found[:learnt]) == 0 and sum(found[learnt:]) > 0
-    assert tree["pan"].attrs["epochs"] == 7 - learnt and tree["pan"].sizes["time"] == 7
+    assert tree["pan"].attrs["frames"] == 7 - learnt and tree["pan"].sizes["time"] == 7
 
 
 def test_light_made_ahead_changes_nothing(three_cars):
@@ -150,5 +150,5 @@ def test_light_made_ahead_changes_nothing(three_cars):
 
 
 def test_the_name_of_a_case_is_no_case():
-    with pytest.raises(TypeError, match=r"`case` must be a Case, got 'quickstart' \(Case"):
+    with pytest.raises(TypeError, match=r"`case` must be a Case; got 'quickstart'\. Read"):
         simulate("quickstart")

@@ -214,15 +214,15 @@ def test_frame_detections_are_of_their_state_time_and_grid_alone():
     first = track.start(plain_tracker().replace({"query.at": "detection"}))
     seen = track.prepare_detections(first, found, 0.0, GRID)
     second = track.step_detections(first, seen, 0.0, GRID)
-    with pytest.raises(ValueError, match="of the state that they are used with, got those of frame 0"):
+    with pytest.raises(ValueError, match="of the state that they are used with; got those of frame 0"):
         track.step_detections(second, seen, 0.0, GRID)
     with pytest.raises(ValueError, match="must be of the state"):
         track.query_detections(second, seen, EVERY_COLUMN)
-    with pytest.raises(ValueError, match="`time_s` must be the detections' 0 s, got 1"):
+    with pytest.raises(ValueError, match="`time_s` must be the detections' 0 s; got 1"):
         track.step_detections(first, seen, 1.0, GRID)
     with pytest.raises(ValueError, match="`grid` must be the detections'"):
         track.step_detections(first, seen, 0.0, replace(GRID, gsd_m=2.0))
     with pytest.raises(ValueError, match="got detections alone"):
         track.step(first, seen)
-    with pytest.raises(ValueError, match="`ground` must have rows of 8 features, got shape"):
+    with pytest.raises(ValueError, match="`ground` must have rows of 8 features; got shape"):
         track.step_detections(first, seen, 0.0, GRID, ground=np.zeros((2, 5)))

@@ -24,7 +24,7 @@ def log_odds(channel, targets):
     return existence.group_log_odds(channel, targets, np.arange(len(targets)), no_flow(), 0.0)
 
 
-def followed(east_m, speed_m_s=10.0, trust: float | np.ndarray = 2.0):
+def followed(east_m, speed_m_s=10.0, recent_ratio: float | np.ndarray = 2.0):
     """Confirmed targets that have driven north side by side for 5 s."""
     n = len(east_m)
     place = np.stack([np.asarray(east_m, float), np.zeros(n)], axis=-1)
@@ -34,18 +34,19 @@ def followed(east_m, speed_m_s=10.0, trust: float | np.ndarray = 2.0):
     mean = new.mean.copy()
     mean[:, 3] = speed_m_s
     return replace(
-        new, mean=mean, mode_mean=mean[:, None], born=place - [0.0, 5.0 * speed_m_s], age_s=np.full(n, 5.0),
-        confirmed=np.ones(n, bool), trust=np.broadcast_to(trust, n).astype(float),
+        new, mean=mean, mode_mean=mean[:, None], first_position=place - [0.0, 5.0 * speed_m_s],
+        age_s=np.full(n, 5.0), confirmed=np.ones(n, bool),
+        recent_ratio=np.broadcast_to(recent_ratio, n).astype(float),
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_what_speaks_for_a_vehicle_raises_the_odds(channel):
     usual = log_odds(channel, followed([0.0]))[0]
-    assert log_odds(channel, followed([0.0], trust=-2.0))[0] < usual
+    assert log_odds(channel, followed([0.0], recent_ratio=-2.0))[0] < usual
     assert log_odds(channel, replace(followed([0.0]), misses=np.array([2])))[0] < usual
     assert log_odds(channel, followed([0.0], speed_m_s=1.0))[0] < usual
-    stayed = replace(followed([0.0]), born=np.zeros((1, 2)))
+    stayed = replace(followed([0.0]), first_position=np.zeros((1, 2)))
     assert log_odds(channel, stayed)[0] < usual
 
 
@@ -65,16 +66,16 @@ def test_neighbours_are_those_of_all_pairs():
     rng = np.random.default_rng(2)
     targets = followed(rng.uniform(0, 300, 40))
     targets = replace(targets, mean=targets.mean + rng.normal(0, 2, targets.mean.shape))
-    escorted, crowded, alike_count = existence._neighbours(targets)
+    co_moving, any_near, count = existence._neighbours(targets)
     apart = np.hypot(*(targets.position[:, None] - targets.position).transpose(2, 0, 1))
     near = np.where(np.eye(40, dtype=bool) | (apart > NEIGHBOUR_M), 0.0, 1 - apart / NEIGHBOUR_M)
     speeds = targets.mean[:, None, 2:] - targets.mean[:, 2:]
     alike = np.where(np.hypot(*speeds.transpose(2, 0, 1)) < existence.SAME_SPEED_M_S, near, 0.0)
-    np.testing.assert_allclose(crowded, near.max(axis=1))
-    np.testing.assert_allclose(escorted, alike.max(axis=1))
+    np.testing.assert_allclose(any_near, near.max(axis=1))
+    np.testing.assert_allclose(co_moving, alike.max(axis=1))
     near = (apart <= existence.QUEUE_M) & ~np.eye(40, dtype=bool)
     same = np.hypot(*speeds.transpose(2, 0, 1)) < existence.SAME_SPEED_M_S
-    np.testing.assert_array_equal(alike_count, (near & same).sum(axis=1))
+    np.testing.assert_array_equal(count, (near & same).sum(axis=1))
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
@@ -96,15 +97,15 @@ def test_two_tracks_of_a_queue_are_no_duplicates():
     assert len(existence._find_pairs(queue)) == 0
 
 
-def reported_of(channel, targets, candidate, leader, false_share):
-    odds = existence.group_log_odds(channel, targets, leader, no_flow(), 0.0)
+def reported_of(channel, targets, candidate, primary, false_share):
+    odds = existence.group_log_odds(channel, targets, primary, no_flow(), 0.0)
     return existence.select_reported_tracks(
-        odds, candidate & (leader == np.arange(len(targets))), false_share
+        odds, candidate & (primary == np.arange(len(targets))), false_share
     )
 
 
 def test_such_a_share_is_reported_as_may_be_false_the_likeliest_first():
-    targets = followed(50.0 * np.arange(30), trust=np.linspace(-4.0, 4.0, 30))
+    targets = followed(50.0 * np.arange(30), recent_ratio=np.linspace(-4.0, 4.0, 30))
     odds, all_, own = log_odds("pan", targets), np.ones(30, bool), np.arange(30)
     false = 1 / (1 + np.exp(odds))
     counts = []
@@ -125,9 +126,9 @@ def test_such_a_share_is_reported_as_may_be_false_the_likeliest_first():
 
 
 def test_one_is_reported_for_all_on_its_vehicle_as_the_likeliest_of_them():
-    targets = followed([0.0, 50.0, 100.0], trust=np.array([-4.0, 4.0, -4.0]))
-    leader, all_ = np.array([0, 0, 2]), np.ones(3, bool)
-    told = reported_of("pan", targets, all_, leader, 1.0)
+    targets = followed([0.0, 50.0, 100.0], recent_ratio=np.array([-4.0, 4.0, -4.0]))
+    primary, all_ = np.array([0, 0, 2]), np.ones(3, bool)
+    told = reported_of("pan", targets, all_, primary, 1.0)
     np.testing.assert_array_equal(told, [True, False, False])
 
 
@@ -173,8 +174,8 @@ def test_at_first_sight_only_what_stands_apart_is_confirmed():
         log_likelihood_ratio=np.array([5.0, 5.0, 3.0]),
     )  # fmt: skip
     features = np.full((3, BINS), np.nan)
-    born = initiate(design, found, features, np.arange(3), 7, no_flow(), apart_from=known)
-    np.testing.assert_array_equal(born.confirmed, [False, True, False])
+    new = initiate(design, found, features, np.arange(3), 7, no_flow(), apart_from=known)
+    np.testing.assert_array_equal(new.confirmed, [False, True, False])
 
 
 @pytest.mark.parametrize(
@@ -277,9 +278,9 @@ def test_what_went_together_for_two_frames_stays_so_while_it_is_near():
 def test_the_oldest_leads_and_stands_in_the_middle_and_the_rest_stay():
     targets = placed([(0, 0), (0.1, 7.3), (100.7, 3.3), (0, -6)])
     known = existence.update_duplicates(existence.no_duplicates(), targets)
-    leader = existence.leaders(known, targets)
-    assert leader.tolist() == [0, 0, 2, 0]
-    moved = existence.move_to_mean_position(targets, leader)
+    primary = existence.primary_targets(known, targets)
+    assert primary.tolist() == [0, 0, 2, 0]
+    moved = existence.move_to_mean_position(targets, primary)
     np.testing.assert_allclose(moved.position[0], [0.1 / 3, 1.3 / 3])
     np.testing.assert_array_equal(moved.mean[1:], targets.mean[1:])
     np.testing.assert_array_equal(moved.mode_mean[:, 0], moved.mean)

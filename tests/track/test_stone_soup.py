@@ -61,7 +61,7 @@ def test_what_cannot_be_used_is_one_sentence(monkeypatch):
     with pytest.raises(ValueError, match="`sigma_m` must be given"):
         stone_soup.from_detections([detection(np.zeros((2, 1)))])
     assert len(stone_soup.from_detections([detection(np.zeros((2, 1)))], sigma_m=0.5)) == 1
-    with pytest.raises(ValueError, match="must hold east and north, got 3"):
+    with pytest.raises(ValueError, match="must hold east and north; got 3"):
         stone_soup.from_detections([detection(np.zeros((3, 1)))], sigma_m=0.5)
     monkeypatch.setitem(sys.modules, "stonesoup.types.detection", None)
     with pytest.raises(ValueError, match="the extra `stonesoup` must be installed"):

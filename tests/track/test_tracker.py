@@ -61,14 +61,14 @@ def test_three_cars_are_tracked_completely_and_purely(interval_s, gsd_m, dolp):
     settled = scores[int(3.5 / interval_s) :]
     assert np.nanmin(metrics.completeness(settled)) == 1.0
     assert metrics.purity(scores) == 1.0
-    assert metrics.summarize(settled)["false_per_epoch"] == 0
+    assert metrics.summarize(settled)["false_per_frame"] == 0
     half_a_superpixel_m = 0.75
     assert metrics.summarize(settled)["position_rms_m"] < half_a_superpixel_m
 
 
 def test_jitter_of_the_pose_makes_no_false_tracks():
     _, scores = follow(three_cars(np.arange(0, 10, 0.5), jitter_m=0.45))
-    assert metrics.summarize(scores)["false_per_epoch"] == 0
+    assert metrics.summarize(scores)["false_per_frame"] == 0
     assert np.nanmin(metrics.completeness(scores[7:])) == 1.0
 
 
@@ -232,17 +232,17 @@ def test_dense_traffic(interval_s):
     summary = metrics.summarize(scores)
     # what the design was measured to reach on other seeds, less its spread
     assert summary["completeness"] > 0.85 and summary["purity"] > 0.97
-    assert summary["false_per_epoch"] < 2
+    assert summary["false_per_frame"] < 2
 
 
 def test_bad_frames_are_refused_in_one_sentence():
     good = image(np.ones((80, 120), np.float32), EXTENT, GSD)
     state, _ = track.step(track.start(), track.Frame(1.0, good))
-    with pytest.raises(ValueError, match="`time_s` must be later than the last frame's 1 s, got 1"):
+    with pytest.raises(ValueError, match="`time_s` must be later than the last frame's 1 s; got 1"):
         track.step(state, track.Frame(1.0, good))
     with pytest.raises(ValueError, match="`time_s` must be later"):
         track.step(state, track.Frame(float("nan"), good))
-    with pytest.raises(ValueError, match=r"`image` must keep its size \(80, 120\), got \(79, 120\)"):
+    with pytest.raises(ValueError, match=r"`image` must keep its size \(80, 120\); got \(79, 120\)"):
         track.step(state, track.Frame(2.0, good.isel(y=slice(1, None))))
     moved = good.assign_coords(x=("x", good["x"].values + 3, {"units": "m"}))
     with pytest.raises(ValueError, match="`image` must keep its grid"):
@@ -253,7 +253,7 @@ def test_bad_frames_are_refused_in_one_sentence():
         track.step(state, track.Frame(2.0, good.drop_vars("dolp")))
     turned = good.copy()
     turned[STOKES_VARIABLE].attrs["stokes_frame"] = "detector"
-    with pytest.raises(ValueError, match="must be in the meridian frame, got 'detector'"):
+    with pytest.raises(ValueError, match="must be in the meridian frame; got 'detector'"):
         track.step(state, track.Frame(2.0, turned))
     with pytest.raises(ValueError, match="`image` must be a Dataset with coordinates y and x"):
         track.step(state, track.Frame(2.0, good.drop_vars(["x", "y"])))
@@ -262,7 +262,7 @@ def test_bad_frames_are_refused_in_one_sentence():
 def test_bad_designs_are_refused():
     with pytest.raises(ValueError, match=r"`detect.channel` must be"):
         plain_tracker().replace({"detect.channel": "colour"})
-    with pytest.raises(ValueError, match="did you mean `dolp_threshold`"):
+    with pytest.raises(ValueError, match="Did you mean `dolp_threshold`"):
         plain_tracker().replace({"detect.dolp_treshold": 0.3})
     with pytest.raises(ValueError, match=r"`initiation.confirm_score` must be"):
         plain_tracker().replace({"initiation.confirm_score": float("nan")})

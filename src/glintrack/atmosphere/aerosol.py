@@ -69,7 +69,7 @@ def aerosol_optics(aerosol: str, wavelength_um: Float[Array, "wavelength"]) -> A
         For an unknown aerosol.
     """
     if aerosol not in MIXTURES:
-        raise ValueError(f"`aerosol` must be one of {', '.join(MIXTURES)}, got {aerosol!r}")
+        raise ValueError(f"`aerosol` must be one of {', '.join(MIXTURES)}; got {aerosol!r}.")
     table = read_components()
     grid_um = table["wavelength"].values
     names = list(table["component"].values)

@@ -83,21 +83,22 @@ class AtmosphereDesign(Design):
     def _consistent(self):
         if self.visibility_km is not None and self.aod_550 is not None:
             raise ValueError(
-                f"`visibility_km` must not be given together with `aod_550`, got {self.visibility_km:g} km "
-                f"and {self.aod_550:g}"
+                f"`visibility_km` must not be given together with `aod_550`; got {self.visibility_km:g} km "
+                f"and {self.aod_550:g}."
             )
         if self.aerosol == "none" and (self.visibility_km is not None or self.aod_550):
             raise ValueError("`aerosol` must not be 'none' where `visibility_km` or `aod_550` is given")
         if (self.sun_zenith_deg is None) != (self.sun_azimuth_deg is None):
-            raise ValueError("`sun_zenith_deg` must be given with `sun_azimuth_deg`, got only one of them")
+            raise ValueError("`sun_zenith_deg` must be given with `sun_azimuth_deg`; got only one of them.")
         if self.streams % 2:
-            raise ValueError(f"`streams` must be even, got {self.streams}")
+            raise ValueError(f"`streams` must be even; got {self.streams}.")
         _ = self.wavelength_um
         heights = self.altitudes_m
         rising = all(a < b for a, b in itertools.pairwise(heights))
         if not (heights and rising and LOWEST_SENSOR_M <= heights[0] and heights[-1] <= HIGHEST_SENSOR_M):
             raise ValueError(
-                f"`altitudes_m` must rise within {LOWEST_SENSOR_M:g} to {HIGHEST_SENSOR_M:g} m, got {heights}"
+                f"`altitudes_m` must rise within {LOWEST_SENSOR_M:g} to {HIGHEST_SENSOR_M:g} m; "
+                f"got {heights}."
             )
         return self
 

@@ -40,7 +40,7 @@ def to_fixed_azimuth_frame(
         −1 for the inverse, from the frame of fixed azimuth to `meridian`.
     """
     if looking not in ("up", "down"):
-        raise ValueError(f"`looking` must be 'up' or 'down', got {looking!r}")
+        raise ValueError(f"`looking` must be 'up' or 'down'; got {looking!r}.")
     turn = -sign if looking == "up" else sign
     return stokes.rotate(stokes_map, turn * np.asarray(azimuth_rad, dtype=float))
 
@@ -136,5 +136,5 @@ def _require(values: Array, name: str, low: float, high: float) -> None:
     slack = 1e-9  # rounding of degrees to radians
     if values.size and not ((values >= low - slack) & (values <= high + slack)).all():
         raise ValueError(
-            f"`{name}` must lie within {low:g} to {high:g}, got {values.min():g} to {values.max():g}"
+            f"`{name}` must lie within {low:g} to {high:g}; got {values.min():g} to {values.max():g}."
         )

@@ -207,10 +207,10 @@ def exponential_sum(
     amount = max_amount * np.r_[0.0, np.geomspace(1e-4, 1.0, 80)]
     rate = np.r_[0.0, np.geomspace(1e-3, 3e3, 120)] / max_amount
     certain = np.r_[1e3, np.ones(len(amount) - 1)]  # nothing takes nothing: the weights sum to 1
-    terms, wanted = np.exp(-np.outer(amount, rate)) * certain[:, None], np.exp(-depth_of(amount)) * certain
-    weights, _ = nnls(terms, wanted)
+    terms, target = np.exp(-np.outer(amount, rate)) * certain[:, None], np.exp(-depth_of(amount)) * certain
+    weights, _ = nnls(terms, target)
     chosen = np.argsort(weights)[::-1][:max_terms]
-    weights, _ = nnls(terms[:, chosen], wanted)
+    weights, _ = nnls(terms[:, chosen], target)
     return weights / weights.sum(), rate[chosen]
 
 

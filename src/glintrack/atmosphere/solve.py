@@ -285,11 +285,11 @@ def rayleigh_slab(
     limits = {"optical_depth": (optical_depth, np.inf), "mu0": (mu0, 1.0), "mu": (np.asarray(mu), 1.0)}
     for name, (value, largest) in limits.items():
         if not np.all((value > 0) & (value <= largest)):
-            raise ValueError(f"`{name}` must be above 0 and at most {largest:g}, got {value}")
+            raise ValueError(f"`{name}` must be above 0 and at most {largest:g}; got {value}.")
     if not 0 <= albedo <= 1:
-        raise ValueError(f"`albedo` must lie within 0 to 1, got {albedo:g}")
+        raise ValueError(f"`albedo` must lie within 0 to 1; got {albedo:g}.")
     if streams % 2 or streams < 4:
-        raise ValueError(f"`streams` must be even and at least 4, got {streams}")
+        raise ValueError(f"`streams` must be even and at least 4; got {streams}.")
     mu, azimuth = np.broadcast_arrays(np.asarray(mu, dtype=float), np.radians(azimuth_deg))
     # a homogeneous plane slab is one layer, in which the ordinates' own single scatter is exact
     config = _config(streams, streams, sk.SingleScatterSource.DiscreteOrdinates)

@@ -33,9 +33,9 @@ def sun_direction(design: AtmosphereDesign) -> tuple[float, float]:
     zenith_deg, azimuth_deg = float(found["zenith"].iloc[0]), float(found["azimuth"].iloc[0])
     if zenith_deg > HIGHEST_SUN_ZENITH_DEG:
         raise ValueError(
-            f"`local_time_h` must put the sun within 0 to {HIGHEST_SUN_ZENITH_DEG:g}° of the zenith, got "
-            f"{zenith_deg:.1f}° at {design.local_time_h:g} h on {design.date} "
-            f"({'below' if zenith_deg > 90 else 'above'} the horizon)"
+            f"`local_time_h` must put the sun within 0 to {HIGHEST_SUN_ZENITH_DEG:g}° of the zenith; got "
+            f"{zenith_deg:.1f}° at {design.local_time_h:g} h on {design.date}, "
+            f"{'below' if zenith_deg > 90 else 'above'} the horizon."
         )
     return math.radians(zenith_deg), math.radians(azimuth_deg)
 

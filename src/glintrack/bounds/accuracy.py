@@ -114,9 +114,9 @@ def information_reduction(detection_probability: float, clutter: float, rng: np.
         If the probability is none, or the clutter negative.
     """
     if not 0 <= detection_probability <= 1:
-        raise ValueError(f"`detection_probability` must lie within 0 and 1, got {detection_probability:g}")
+        raise ValueError(f"`detection_probability` must lie within 0 and 1; got {detection_probability:g}.")
     if not (math.isfinite(clutter) and clutter >= 0):
-        raise ValueError(f"`clutter` must be at least 0, got {clutter:g}")
+        raise ValueError(f"`clutter` must be at least 0; got {clutter:g}.")
     if clutter == 0 or detection_probability == 0:
         return float(detection_probability)
     p = float(detection_probability)

@@ -81,7 +81,7 @@ def superpixel_polarization(
 ) -> Polarization:
     """Q/I and U/I of all superpixels, row by row, or of chosen ones (y, x)."""
     if sensor.stokes_matrix is None:
-        raise ValueError(f"`sensor` must have polarizers, got layout {sensor.design.layout!r}")
+        raise ValueError(f"`sensor` must have polarizers; got layout {sensor.design.layout!r}.")
     layout, side = sensor.design.superpixel, sensor.side
     # in the order of `Sensor.stokes_matrix`
     places = [

@@ -212,7 +212,7 @@ def detection_probability(cumulants: Cumulants, false_alarm: float, limit: float
         If the false-alarm probability is out of its range.
     """
     if not 0 < false_alarm < 0.5:
-        raise ValueError(f"`false_alarm` must be greater than 0 and less than 0.5, got {false_alarm:g}")
+        raise ValueError(f"`false_alarm` must be greater than 0 and less than 0.5; got {false_alarm:g}.")
     half = cumulants(0.5)
     if 2 * half - math.log(false_alarm) < _MIN_LOG_MISS:  # Chernoff's bound on a miss
         return 1.0

@@ -106,7 +106,7 @@ def loss_budget(frames: list[FrameBudget], false_per_frame: float) -> xr.Dataset
     """
     movers = sum(f.movers for f in frames)
     if movers == 0:
-        raise ValueError("`case` must have moving vehicles in the scored area for a loss budget, got none")
+        raise ValueError("`case` must have moving vehicles in the scored area for a loss budget; got none.")
     visible = sum(len(f.probability) for f in frames)
     counts = dict.fromkeys(STAGES, np.nan)
     counts |= {"moving": movers, "in_view": sum(f.in_view for f in frames), "visible": visible}
@@ -213,7 +213,7 @@ def threshold(false: list[Float[Array, "detection"]], false_per_frame: float) ->
         If no false detection is allowed.
     """
     if not false_per_frame > 0:
-        raise ValueError(f"`false_per_frame` must be greater than 0, got {false_per_frame:g}")
+        raise ValueError(f"`false_per_frame` must be greater than 0; got {false_per_frame:g}.")
     scores = np.sort(np.concatenate(false))[::-1]
     allowed = int(false_per_frame * len(false))
     if allowed >= len(scores):

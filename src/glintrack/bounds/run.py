@@ -135,8 +135,8 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
     last = (case.flight.frames - 1) // every * every
     if last == 0:
         raise ValueError(
-            f"`flight.frames` must be more than bound.every, {every}, for a loss budget, "
-            f"got {case.flight.frames}"
+            f"`flight.frames` must be more than bound.every, {every}, for a loss budget; "
+            f"got {case.flight.frames}."
         )
     scenario = build_scenario(case)
     observer, flight = scenario.observer, scenario.flight

@@ -63,7 +63,7 @@ def decides_hits(case: Case) -> dict[str, Any]:
 def build_scenario(case: Case) -> Scenario:
     """Build the city, atmosphere, flight and sensor of a case."""
     if not isinstance(case, Case):
-        raise TypeError(f"`case` must be a Case, got {case!r} (Case.from_toml reads one; run takes a name)")
+        raise TypeError(f"`case` must be a Case; got {case!r}. Read one with Case.from_toml.")
     case = fit_window(case)
     with step("building the city"):
         city = build_scene(case.scene)
@@ -122,18 +122,20 @@ def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | 
         If the flight has no such frame, the scene is empty, or the lens is below the ground.
     """
     if not 0 <= frame < case.flight.frames:
-        raise ValueError(f"`--frame` must lie within the flight's 0 to {case.flight.frames - 1}, got {frame}")
+        raise ValueError(
+            f"`--frame` must lie within the flight's 0 to {case.flight.frames - 1}; got {frame}."
+        )
     scenario = build_scenario(case)
     city, flight, observer = scenario.city, scenario.flight, scenario.observer
     time_s = float(flight.times_s[frame])
     pose, snapshot = flight.pose(time_s), city.at(time_s)
     if len(snapshot.static.faces) == 0 and len(snapshot.vehicle_id) == 0:
-        raise ValueError("`scene` must hold at least one triangle, got none")
+        raise ValueError("`scene` must hold at least one triangle; got none.")
     ground_m = float(city.terrain["height"].sel(x=pose.east_m, y=pose.north_m, method="nearest"))
     if pose.up_m <= ground_m:
         raise ValueError(
-            f"`flight.altitude_m` must put the lens above the ground, at {ground_m:g} m there, "
-            f"got {pose.up_m:g} m"
+            f"`flight.altitude_m` must put the lens above the ground, at {ground_m:g} m there; "
+            f"got {pose.up_m:g} m."
         )
     grid = None
     if ortho:

@@ -104,7 +104,7 @@ def _sensor_entries(sheet: DataSheet) -> Iterator[Entry]:
     lens = find_item("lenses", sheet.lens) if sheet.lens else None
     fixed = detector.figures.get("polarizers") if detector else None
     if fixed and sheet.polarizers not in (None, fixed):
-        raise ValueError(f"`--polarizers` must be {fixed}, as on the detector, got {sheet.polarizers}")
+        raise ValueError(f"`--polarizers` must be {fixed}, as on the detector array; got {sheet.polarizers}.")
     layout, text, polarizer = MOSAICS[fixed or sheet.polarizers or "none"]
     yield "layout", layout, text
     yield from ((key, value, "assumed") for key, value in polarizer.items())
@@ -118,12 +118,12 @@ def _sensor_entries(sheet: DataSheet) -> Iterator[Entry]:
         _check_lens(lens, f_number, 1e-3 * pitch_um * math.hypot(columns, rows))
     yield "band_um", [0.4, 1.0], "assumed"
     yield "quantum_efficiency", "silicon", "assumed"
-    yield "clock_hz", sheet.rate_hz, "rate at which the array is read"
+    yield "max_frame_rate_hz", sheet.rate_hz, "rate at which the array is read"
     if detector is None:
         return
-    limit_hz = detector.figures.get("clock_hz", sheet.rate_hz)
+    limit_hz = detector.figures.get("max_frame_rate_hz", sheet.rate_hz)
     if sheet.rate_hz > limit_hz:
-        raise ValueError(f"`--rate` must be at most the detector's {limit_hz:g} Hz, got {sheet.rate_hz:g}")
+        raise ValueError(f"`--rate` must be at most the array's {limit_hz:g} Hz; got {sheet.rate_hz:g}.")
     if "bits" in detector.figures:
         yield "bits", detector.figures["bits"], _source(detector, "bits")
     if pitch_um == detector.figures["pitch_um"]:
@@ -138,7 +138,7 @@ def _entry(sheet: DataSheet, key: str, item: CatalogueItem | None) -> Entry:
         return key, value, ""
     if item is None:
         other = "--lens" if key == "focal_length_mm" else "--sensor"
-        raise ValueError(f"`{OPTIONS[key]}` must be given where there is no {other}, got neither")
+        raise ValueError(f"`{OPTIONS[key]}` must be given where there is no {other}; got neither.")
     return key, item.figures[key], _source(item, key)
 
 
@@ -146,11 +146,11 @@ def _check_lens(lens: CatalogueItem, f_number: float, diagonal_mm: float) -> Non
     """Refuse an aperture that a lens has not, and an array larger than its image."""
     least, circle_mm = lens.figures["f_number"], lens.figures["image_circle_mm"]
     if f_number < least:
-        raise ValueError(f"`--f-number` must be at least the lens's {least:g}, got {f_number:g}")
+        raise ValueError(f"`--f-number` must be at least the lens's {least:g}; got {f_number:g}.")
     if diagonal_mm > circle_mm:
         raise ValueError(
-            f"`--lens` must have an image circle of the array's {diagonal_mm:.3g} mm at least, "
-            f"got {circle_mm:g} mm of {lens.name}"
+            f"`--lens` must have an image circle of the array's {diagonal_mm:.3g} mm at least; "
+            f"got {circle_mm:g} mm of {lens.name}."
         )
 
 

@@ -82,14 +82,14 @@ class Case(Design):
         if not name.isprintable() or set(name) & set('/\\<>:"|?*') or name.strip(" .") != name:
             raise ValueError(
                 '`name` must be one that a folder can have: printable, without / \\ < > : " | ? *, not '
-                f"beginning or ending in a dot or space, got {name!r}"
+                f"beginning or ending in a dot or space; got {name!r}."
             )
         return name
 
     @model_validator(mode="after")
     def _channels_once_each(self) -> Self:
         if len(set(self.channels)) != len(self.channels):
-            raise ValueError(f"`channels` must name each at most once, got {list(self.channels)}")
+            raise ValueError(f"`channels` must name each at most once; got {list(self.channels)}.")
         return self
 
     @model_validator(mode="after")
@@ -106,32 +106,32 @@ class Case(Design):
         highest_m = max(self.atmosphere.altitudes_m)
         if self.flight.kind != "waypoints" and self.flight.altitude_m > highest_m:
             raise ValueError(
-                f"`flight.altitude_m` must be at most the highest of atmosphere.altitudes_m, {highest_m:g}, "
-                f"got {self.flight.altitude_m:g}"
+                f"`flight.altitude_m` must be at most the highest of atmosphere.altitudes_m, {highest_m:g}; "
+                f"got {self.flight.altitude_m:g}."
             )
         widest_m = max(self.sensor.rows, self.sensor.columns) * self.sensor.pitch_m
         field_deg = math.degrees(2 * math.atan(widest_m / (2e-3 * self.sensor.focal_length_mm)))
         if field_deg > _WIDEST_FIELD_DEG:
             raise ValueError(
-                f"`sensor.focal_length_mm` must give a field of view of at most {_WIDEST_FIELD_DEG:g}°, got "
-                f"{field_deg:.0f}° ({self.sensor.focal_length_mm:g} mm before {1e3 * widest_m:g} mm of array)"
+                f"`sensor.focal_length_mm` must give a field of view of at most {_WIDEST_FIELD_DEG:g}°; got "
+                f"{field_deg:.0f}° for {self.sensor.focal_length_mm:g} mm and {1e3 * widest_m:g} mm of array."
             )
-        if self.flight.rate_hz > self.sensor.clock_hz:
+        if self.flight.rate_hz > self.sensor.max_frame_rate_hz:
             raise ValueError(
-                f"`flight.rate_hz` must be at most sensor.clock_hz, {self.sensor.clock_hz:g} Hz, "
-                f"got {self.flight.rate_hz:g}"
+                f"`flight.rate_hz` must be at most sensor.max_frame_rate_hz, "
+                f"{self.sensor.max_frame_rate_hz:g} Hz; got {self.flight.rate_hz:g}."
             )
         queries = self.track.query.policy != "none" and self.sensor.has_mirror
-        needed_ms, frame_ms = self.sensor.second_exposure_ends_ms, 1e3 / self.sensor.clock_hz
+        needed_ms, frame_ms = self.sensor.second_exposure_ends_ms, 1e3 / self.sensor.max_frame_rate_hz
         if queries and self.track.query.at == "detection" and needed_ms > frame_ms:
             raise ValueError(
-                f"`track.query.at` must be 'prediction' where frame, mirrors and spectra in turn "
-                f"take longer than a frame's {frame_ms:g} ms (see sensor.clock_hz), got {needed_ms:g} ms"
+                f"`track.query.at` must be 'prediction' where frame, mirrors and spectra in turn take "
+                f"longer than a frame's {frame_ms:g} ms (see sensor.max_frame_rate_hz); got {needed_ms:g} ms."
             )
         if set(self.channels) != {"pan"} and not self.sensor.has_stokes:
             raise ValueError(
-                f"`channels` must be 'pan' alone where the sensor has no polarizers, got "
-                f"{list(self.channels)} with layout {self.sensor.layout!r}"
+                f"`channels` must be 'pan' alone where the sensor has no polarizers; got "
+                f"{list(self.channels)} with layout {self.sensor.layout!r}."
             )
         wavelength_um = self.atmosphere.wavelength_um
         for name in ("band_um", "spectrometer_um") if self.sensor.has_mirror else ("band_um",):
@@ -139,8 +139,8 @@ class Case(Design):
             if first < wavelength_um[0] - 1e-9 or last > wavelength_um[-1] + 1e-9:
                 raise ValueError(
                     f"`sensor.{name}` must lie within the atmosphere's {wavelength_um[0]:g} to "
-                    f"{wavelength_um[-1]:g} µm, got {first:g} to {last:g} "
-                    "(see atmosphere.wavelength_stop_um)"
+                    f"{wavelength_um[-1]:g} µm; got {first:g} to {last:g}. "
+                    "Set atmosphere.wavelength_stop_um to extend it."
                 )
         return self
 
@@ -213,11 +213,11 @@ def read_case(path: str | Path) -> dict[str, Any]:
     values = {"name": Path(path).stem, **read_toml(path, "case")}
     if _STUDY_MARKS & set(values):
         name = Path(path).stem if Path(path).parent == PACKAGED_CASES else path
-        raise ValueError(f"`case` must be a case, got the study {name} (glintrack study {name})")
+        raise ValueError(f"`case` must be a case; got the study {name}. Run it with glintrack study {name}.")
     for key in ("case", "base"):
         if key in values:
             raise ValueError(
-                f"`{key}` must not be in a case (`like` names one to begin from), got it in {path}"
+                f"`{key}` must not be in a case (`like` names one to begin from); got it in {path}."
             )
     return over_like(values)
 
@@ -228,7 +228,7 @@ def over_like(values: dict[str, Any]) -> dict[str, Any]:
         return values
     like, known = values["like"], list_cases()
     if like not in known:
-        raise ValueError(f"`like` must name a packaged case ({', '.join(known)}), got {str(like)[:80]!r}")
+        raise ValueError(f"`like` must name a packaged case ({', '.join(known)}); got {str(like)[:80]!r}.")
     below = read_toml(PACKAGED_CASES / f"{like}.toml", "like")
     return _merge(below, {key: value for key, value in values.items() if key != "like"})
 
@@ -267,12 +267,12 @@ def read_table(model: type[Located], name: str, table: str, key: str, packaged: 
     if is_name and not Path(name).suffix and name not in list_cases():
         hint = suggest_name(name, [*packaged, *list_cases()])
         raise ValueError(
-            f"`{table}` must be a packaged {table}, a packaged case or a TOML file, got {name} ({hint})"
+            f"`{table}` must be a packaged {table}, a packaged case or a TOML file; got {name}. {hint}"
         )
     path = find_case(name)
     values = over_like(read_toml(path, table)).get(table)
     if not isinstance(values, dict):
-        raise ValueError(f"`{table}` must be a TOML file with a [{table}] table, got none in {name}")
+        raise ValueError(f"`{table}` must be a TOML file with a [{table}] table; got none in {name}.")
     return validate_design(model, values).resolve_files(path.parent)
 
 
@@ -290,6 +290,6 @@ def _check_inside(
             continue
         elif not any(Path(after).is_relative_to(one) for one in folders):
             raise ValueError(
-                f"`{table}.{key}` must name a file in the case's folder or below, got {before} "
-                "(--allow-outside-paths allows others)"
+                f"`{table}.{key}` must name a file in the case's folder or below; got {before}. "
+                "--allow-outside-paths allows others."
             )

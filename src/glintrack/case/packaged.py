@@ -40,7 +40,7 @@ def find_case(name: str | Path, kind: str = "case") -> Path:
     if str(name) in _list_packaged():
         return PACKAGED_CASES / f"{name}.toml"
     hint = suggest_name(str(name), list_studies() if kind == "study" else list_cases())
-    raise ValueError(f"`{kind}` must be a TOML file or the name of a packaged {kind}, got {name} ({hint})")
+    raise ValueError(f"`{kind}` must be a TOML file or the name of a packaged {kind}; got {name}. {hint}")
 
 
 def _list_packaged() -> list[str]:

@@ -71,8 +71,8 @@ def load_program():
     return program
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         print(f"glintrack {VERSION}")
         raise typer.Exit
 
@@ -128,7 +128,7 @@ def _call() -> int:
     for word in sys.argv[1:]:
         if plain(word, len(word)) != word:  # such a name would be printed again and again
             raise ValueError(
-                f"names and values must be without control codes, got {word!r} (rename the file)"
+                f"names and values must be without control codes; got {word!r}. Rename the file."
             )
     with collect_readings() as readings:
         code = typer.main.get_command(app)(prog_name="glintrack", standalone_mode=False)

@@ -58,8 +58,8 @@ def plot(
     for value in chosen:
         if not available[0] - 1e-9 <= value <= available[-1] + 1e-9:
             raise ValueError(
-                f"`--wavelength-um` must lie within the tables' {available[0]:g} to {available[-1]:g} µm, "
-                f"got {value:g}"
+                f"`--wavelength-um` must lie within the tables' {available[0]:g} to {available[-1]:g} µm; "
+                f"got {value:g}."
             )
     figure = Figure(figsize=(4 * len(_QUANTITIES), 3.6 * (len(chosen) + 1)), layout="constrained")
     grid = figure.add_gridspec(len(chosen) + 1, len(_QUANTITIES))

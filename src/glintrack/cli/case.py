@@ -111,18 +111,18 @@ def new(
     f_number: Annotated[float | None, option("F-number [default: 5.6]")] = None,
     off_nadir: Annotated[float, option("Angle of the line of sight from nadir [°]")] = 0.0,
     polarizers: Annotated[Polarizers | None, option("Mosaic on the array [default: none]")] = None,
-    sensor: Annotated[str, option("Detector of `glintrack sensor list`, in place of --pixels, --pitch")] = "",
-    lens: Annotated[str, option("Lens of `glintrack sensor list`, in place of --focal-length")] = "",
+    sensor: Annotated[str, option("Array of `glintrack sensor list`, instead of --pixels and --pitch")] = "",
+    lens: Annotated[str, option("Lens of `glintrack sensor list`, instead of --focal-length")] = "",
 ) -> None:
     """Write a case from the data sheet of a camera; what the sheet leaves out is derived and stated."""
     check_output(file, ".toml", option="file")
     if file.exists():
-        raise ValueError(f"`file` must not exist yet, got {file}")
+        raise ValueError(f"`file` must not exist yet; got {file}. Choose another name.")
     size = re.fullmatch(r"(\d{1,6})[x×](\d{1,6})", pixels or "1x1")
     if size is None:
-        raise ValueError(f"`--pixels` must be COLUMNSxROWS, as 2048x2048, got {pixels}")
+        raise ValueError(f"`--pixels` must be COLUMNSxROWS, as 2048x2048; got {pixels}.")
     if not 0 < rate <= 1000:
-        raise ValueError(f"`--rate` must be above 0 and at most 1000 Hz, got {rate:g}")
+        raise ValueError(f"`--rate` must be above 0 and at most 1000 Hz; got {rate:g}.")
     columns, rows = map(int, size.groups()) if pixels else (None, None)
     array: dict[str, Any] = {"columns": columns, "rows": rows, "pitch_um": pitch, "detector": sensor}
     optics: dict[str, Any] = {"focal_length_mm": focal_length, "f_number": f_number, "lens": lens}
@@ -161,7 +161,7 @@ def schema(
         chosen = chosen or {n: [key for key in keys if key.name == table] for n, keys in tables.items()}
     if not any(chosen.values()):
         known = (_TOP, *filter(None, tables), *(key.name for keys in tables.values() for key in keys))
-        raise ValueError(f"`table` must be one of a case, got {table} ({suggest_name(str(table), known)})")
+        raise ValueError(f"`table` must be one of a case; got {table}. {suggest_name(str(table), known)}")
     for name, keys in chosen.items():
         if keys:
             _print_keys(console, name, keys)

@@ -25,7 +25,7 @@ _HEADS = {
     "purity": "\npurity",
     "idf1": "\nIDF1",
     "hota": "\nHOTA",
-    "false_per_epoch": "false/\nframe",
+    "false_per_frame": "false/\nframe",
 }
 app = command_app(
     "Build a labelled set of frames, `glintrack dataset CASE… -o DIR`, or score baselines on one.",

@@ -176,8 +176,8 @@ def _polarizer_transmittance(polarizer: Path | None) -> tuple[float, str]:
     table = netcdf.read_dataset(polarizer, "polarizer")
     if "pass_transmittance" not in table:
         raise ValueError(
-            f"`polarizer` must be an output of `glintrack device wiregrid`, got {polarizer} "
-            "without `pass_transmittance`"
+            f"`polarizer` must be an output of `glintrack device wiregrid`; got {polarizer} "
+            "without `pass_transmittance`."
         )
     one = table.isel(wavelength=table.sizes["wavelength"] // 2)
     return float(one["pass_transmittance"]), f"a wire grid at {float(one['wavelength']):.2f} µm"

@@ -185,9 +185,9 @@ def check_output(path: Path, *suffixes: str, option: str = "output") -> None:
     """Refuse, before any work, a file of another ending or in a folder that does not exist."""
     if suffixes and path.suffix.lower() not in suffixes:
         known = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
-        raise ValueError(f"`{option}` must end in {known}, got {path.name!r}")
+        raise ValueError(f"`{option}` must end in {known}; got {path.name!r}.")
     if path.is_dir() or not path.absolute().parent.is_dir():
-        raise ValueError(f"`{option}` must be a file in an existing folder, got {path}")
+        raise ValueError(f"`{option}` must be a file in an existing folder; got {path}.")
 
 
 def print_notes(console: Console, notes: Iterable[str]) -> None:

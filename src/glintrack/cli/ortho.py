@@ -30,7 +30,7 @@ def ortho(
     """Rectify your own image by collinearity with its pose, onto a DEM, in any CRS."""
     if (dem is None) == (height is None):
         raise ValueError(
-            "`glintrack ortho` must get one of --dem and --height, got " + ("both" if dem else "none")
+            "`glintrack ortho` must get one of --dem and --height; got " + ("both." if dem else "none.")
         )
     check_output(output, ".tif", ".tiff", ".nc")
     check_new(output)

@@ -53,7 +53,7 @@ def polarimetry(
     }
     design = validate_design(RawDesign, values)
     if rate_hz is not None and not 0 < rate_hz <= 1e6:
-        raise ValueError(f"`rate` must be greater than 0 and at most 1e6 Hz, got {rate_hz:g}")
+        raise ValueError(f"`rate` must be greater than 0 and at most 1e6 Hz; got {rate_hz:g}.")
     analysers = None if calibration is None else read_analysers(calibration)
     files, console = raw_files(raw), open_console()
     folder = atomic.ResultFolder(output)
@@ -93,8 +93,8 @@ def _check_same_camera(counts: Array, first: Array, path: Path, first_path: Path
     ):
         if mine != other:
             raise ValueError(
-                f"`RAW` must have one {what}, {other} as {first_path.name}, got {mine} in {path} (one camera "
-                "and setting a call)"
+                f"`RAW` must have one {what}, {other} as {first_path.name}; got {mine} in {path}. Call it "
+                "once for each camera and setting."
             )
 
 

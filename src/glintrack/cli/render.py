@@ -47,21 +47,21 @@ def render(
     Bands are in µm, radiance in W m⁻² sr⁻¹ µm⁻¹, angles in rad.
     """
     bands = tuple(_parse_band(text) for text in band or ())
-    wanted = _select_product(rgb, degree, angle, cube, bands)
+    product = _select_product(rgb, degree, angle, cube, bands)
     picture = output.suffix.lower() in _PICTURES
-    _check_output(output, wanted, bands, picture)
+    _check_output(output, product, bands, picture)
     if gsd is not None and not ortho:
-        raise ValueError(f"`--gsd` must be given with --ortho, got {gsd:g} without it")
+        raise ValueError(f"`--gsd` must be given with --ortho; got {gsd:g} without it.")
     design = Case.from_toml(find_case(case))
     console = open_console()
     with show_wait(console, "tracing a frame"):
         view = trace_frame(design, frame, ortho, gsd)
-    if wanted == "cube":
+    if product == "cube":
         layout = _write_cube(output, view, bands, console)
     else:
         with show_wait(console, "shading"):
-            layout, values = render_product(view, cast(Product, wanted), bands)
-            of_aop = wanted == "aop" and picture
+            layout, values = render_product(view, cast(Product, product), bands)
+            of_aop = product == "aop" and picture
             polarized = dolp(render_product(view, "radiance", bands)[1]) if of_aop else None
         if picture:
             _draw(output, design.name, view, layout, values, polarized)
@@ -77,9 +77,9 @@ def _parse_band(text: str) -> tuple[float, float]:
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
-        raise ValueError(f"`--band` must be two wavelengths in µm, as 0.6:0.7, got {text!r}") from None
+        raise ValueError(f"`--band` must be two wavelengths in µm, as 0.6:0.7; got {text!r}.") from None
     if not 0 < low < high < np.inf:
-        raise ValueError(f"`--band` must be two rising wavelengths in µm, got {text!r}")
+        raise ValueError(f"`--band` must be two rising wavelengths in µm; got {text!r}.")
     return low, high
 
 
@@ -87,23 +87,23 @@ def _select_product(rgb: bool, degree: bool, angle: bool, cube: bool, bands: Ban
     flags = {"rgb": rgb, "dolp": degree, "aop": angle, "cube": cube}
     given = [name for name, flag in flags.items() if flag]
     if len(given) > 1:
-        raise ValueError(f"`render` must get one product, got --{' and --'.join(given)}")
+        raise ValueError(f"`render` must get one product; got --{' and --'.join(given)}.")
     if given == ["rgb"] and bands:
-        raise ValueError("`--rgb` must be given without --band, got both")
+        raise ValueError("`--rgb` must be given without --band; got both.")
     if given == ["cube"] and len(bands) > 1:
-        raise ValueError(f"`--cube` must be given at most one --band, its range, got {len(bands)}")
+        raise ValueError(f"`--cube` must be given at most one --band, its range; got {len(bands)}.")
     return given[0] if given else "radiance" if bands else "rgb"
 
 
-def _check_output(output: Path, wanted: str, bands: Bands, picture: bool) -> None:
+def _check_output(output: Path, product: str, bands: Bands, picture: bool) -> None:
     """Refuse what cannot be written before anything is built."""
-    if wanted == "cube" and output.suffix.lower() not in (".hdr", ".nc", ".zarr"):
-        raise ValueError(f"`output` must end in .hdr, .nc or .zarr for a cube, got {output.name!r}")
+    if product == "cube" and output.suffix.lower() not in (".hdr", ".nc", ".zarr"):
+        raise ValueError(f"`output` must end in .hdr, .nc or .zarr for a cube; got {output.name!r}.")
     if not picture and output.suffix.lower() not in raster.SUFFIXES:
         suffixes = ", ".join((*_PICTURES, *raster.SUFFIXES))
-        raise ValueError(f"`output` must end in one of {suffixes}, got {output.name!r}")
+        raise ValueError(f"`output` must end in one of {suffixes}; got {output.name!r}.")
     if picture and len(bands) > 1:
-        raise ValueError(f"`--band` must be given once for a picture, got {len(bands)}")
+        raise ValueError(f"`--band` must be given once for a picture; got {len(bands)}.")
     (raster.check_place if picture else raster.output_files)(output)
 
 
@@ -138,9 +138,9 @@ def _draw(
         label = f"degree of linear polarization{band}"
     elif layout.name == "aop":
         assert polarized is not None
-        turned = layout.stokes_frame == "meridian"
-        colours, scale = plot_frame.aop_colours(shown, polarized[:, :, 0], np.pi / 2 if turned else 0.0)
-        frame = "from the vertical" if turned else "from image right"
+        on_ground = layout.stokes_frame == "meridian"
+        colours, scale = plot_frame.aop_colours(shown, polarized[:, :, 0], np.pi / 2 if on_ground else 0.0)
+        frame = "from the vertical" if on_ground else "from image right"
         label = f"angle of polarization {frame}, counter-clockwise{band} [°]"
     else:
         colours, scale = plot_frame.radiance_colours(shown)

@@ -35,8 +35,8 @@ def report(
     check_output(output, ".html", ".htm")
     if len(results) > 1:
         raise ValueError(
-            f"`report` must get one result, got {len(results)} (two designs are compared, with intervals, by "
-            "`glintrack study`: docs/guide/study.md)"
+            f"`report` must get one result; got {len(results)}. Two designs are compared, with intervals, by "
+            "`glintrack study`: docs/guide/study.md."
         )
     (result,), console = results, open_console()
     if is_study(result):

@@ -44,7 +44,7 @@ from glintrack.metrics.requirement import (
 from glintrack.metrics.rows import score_epochs
 from glintrack.results.collect import scored_times
 from glintrack.results.epoch import Epoch
-from glintrack.results.figures import LOOP_COLOURS
+from glintrack.results.figures import LOOP_STYLES
 from glintrack.results.read import Result, score_text
 from glintrack.results.recorder import FlightPace
 from glintrack.results.run import KERNELS, compile_kernels
@@ -77,7 +77,7 @@ def parse_changes(changes: list[str]) -> dict[str, object]:
     for change in changes:
         key, sign, value = change.partition("=")
         if not sign or not key.strip():
-            raise ValueError(f"`--set` must be KEY=VALUE, as sensor.pitch_um=8.5, got {change!r}")
+            raise ValueError(f"`--set` must be KEY=VALUE, as sensor.pitch_um=8.5; got {change!r}.")
         out[key.strip()] = toml_value(value)
     return out
 
@@ -118,8 +118,8 @@ def run(
         one.check_channel(design.channels)
     if not force and (bad := bad_reasons(design)):
         raise ValueError(
-            f"`case` must have no bad quantity; got {len(bad)}: {'; '.join(bad)} "
-            "(`glintrack case check` judges all; --force simulates the case nevertheless)"
+            f"`case` must have no bad quantity; got {len(bad)}: {'; '.join(bad)}. "
+            "`glintrack case check` shows all quantities; --force simulates the case anyway."
         )
     check_new_folder(output or Path(f"result-{design.name}"))
     console = open_console()
@@ -162,9 +162,9 @@ def run(
     _conclude(console, result, tree, total_s)
     best = select_channel(result.scores) or last
     found = [(one, assess_tracks(tree, one, one.channel or best, areas)) for one in requirements]
-    for requirement, judged in found:
-        console.print(describe_assessment(requirement, judged))
-    check_answers(judged.answer for _, judged in found)
+    for requirement, assessment in found:
+        console.print(describe_assessment(requirement, assessment))
+    check_answers(assessment.answer for _, assessment in found)
 
 
 def assess_tracks(
@@ -217,10 +217,10 @@ def print_scores(console: Console, tree: xr.DataTree) -> None:
     """Print the scores of each channel over the whole simulation."""
     rows = [
         (_heading(channel), *(score_text(float(tree[channel].attrs[name])) for name in _SCORES))
-        for channel in LOOP_COLOURS
+        for channel in LOOP_STYLES
         if channel in tree.children
     ]
-    frames = len(scored_times(tree, next(name for name in LOOP_COLOURS if name in tree.children)))
+    frames = len(scored_times(tree, next(name for name in LOOP_STYLES if name in tree.children)))
     of = f"{frames} of {tree.attrs['frames_done']} frames, after learning the background"
     title = f"scores of {of}: tracked vehicles per km², and tracked share of the moving and visible ones"
     console.print(make_table(title, ["", *_SCORES.values()], rows))

@@ -61,7 +61,7 @@ def build(
     given = [name for name, value in (("osm", osm), ("net", sumo_net), ("mesh", mesh)) if value]
     if len(given) > 1:
         raise ValueError(
-            f"`scene build` must get one of --osm, --sumo-net, --mesh, got {' and '.join(given)}"
+            f"`scene build` must get one of --osm, --sumo-net, --mesh; got {' and '.join(given)}."
         )
     table = {
         "city": given[0] if given else "embedded",
@@ -159,7 +159,7 @@ def traffic(
     with show_wait(console, "simulating traffic"):
         recording = record_traffic(validate_design(SceneDesign, table))
     if recording.traffic.first.size == 0:
-        raise ValueError("`traffic` must hold at least one vehicle in the scene's window, got none")
+        raise ValueError("`traffic` must hold at least one vehicle in the scene's window; got none.")
     if output.suffix.lower() == ".nc":
         about = {
             "title": "glintrack traffic recording",

@@ -19,7 +19,7 @@ app = command_app()
 
 _M_PER_S = 1e6  # distance that one second counts as, so that no position is near one of another time
 _MIN_PLAUSIBLE = 0.05  # completeness; below it a sentence asks whether both files have the same coordinates
-_UNITS = {"_per_km2": "km⁻²", "_per_epoch": "per epoch", "_m": "m", "_s": "s"}
+_UNITS = {"_per_km2": "km⁻²", "_per_frame": "per frame", "_m": "m", "_s": "s"}
 
 
 def _text(value: float) -> str:
@@ -28,10 +28,10 @@ def _text(value: float) -> str:
 
 def _coordinate_hint(tracks: xr.Dataset, truth: xr.Dataset) -> str:
     """Sentence on how tracks and vehicles could be in different coordinates; empty if they are not."""
-    place, wanted = (np.stack([of["east_m"].values, of["north_m"].values], axis=1) for of in (tracks, truth))
-    low, high = wanted.min(axis=0), wanted.max(axis=0)
+    place, vehicle = (np.stack([of["east_m"].values, of["north_m"].values], axis=1) for of in (tracks, truth))
+    low, high = vehicle.min(axis=0), vehicle.max(axis=0)
     room = 0.1 * (high - low) + 10.0
-    tree = KDTree(np.column_stack([_M_PER_S * truth["time_s"].values, wanted]))
+    tree = KDTree(np.column_stack([_M_PER_S * truth["time_s"].values, vehicle]))
 
     def lies_within(other: np.ndarray) -> bool:
         return bool((((other > low - room) & (other < high + room)).all(axis=1)).mean() > 0.9)
@@ -54,7 +54,7 @@ def _coordinate_hint(tracks: xr.Dataset, truth: xr.Dataset) -> str:
     spans = [
         f"{name} {at[:, 0].min():.4g} to {at[:, 0].max():.4g} m east, "
         f"{at[:, 1].min():.4g} to {at[:, 1].max():.4g} m north"
-        for name, at in (("tracks lie", place), ("vehicles", wanted))
+        for name, at in (("tracks lie", place), ("vehicles", vehicle))
     ]
     remedy = remedy or "are both in the same coordinates, in m?"
     return f"hardly a track is a vehicle's: {'; '.join(spans)} ({remedy})"
@@ -73,9 +73,9 @@ def score(
 ) -> None:
     """Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more."""
     if not match_m > 0:
-        raise ValueError(f"`match-m` must be greater than 0 m, got {match_m:g}")
+        raise ValueError(f"`match-m` must be greater than 0 m; got {match_m:g}.")
     if not moving_m_s >= 0:
-        raise ValueError(f"`moving-m-s` must be 0 m/s or more, got {moving_m_s:g}")
+        raise ValueError(f"`moving-m-s` must be 0 m/s or more; got {moving_m_s:g}.")
     if output is not None:
         check_output(output, ".json", option="json")
     rows, known = read_tracks(tracks), read_truth(truth)
@@ -90,8 +90,8 @@ def score(
     if (held := scores["completeness"]) == held:
         share = f"a share of {_text(held)} of the moving vehicles is tracked"
     console.print(
-        f"{share}; track purity is {_text(scores['purity'])}; there are {_text(scores['false_per_epoch'])} "
-        f"false tracks per epoch; areas are of {where}"
+        f"{share}; track purity is {_text(scores['purity'])}; there are {_text(scores['false_per_frame'])} "
+        f"false tracks per frame; areas are of {where}"
     )
     for name, value in scores.items():
         unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")

@@ -107,8 +107,8 @@ def lens(
 ) -> None:
     """Trace a lens: RMS spot size [µm], distortion [µm], transmitted share of the light."""
     pictures = [("--spots", spots, draw_spots), ("--layout", layout, draw_layout)]
-    wanted = [(name, path, draw) for name, path, draw in pictures if path is not None]
-    for name, path, _ in wanted:
+    outputs = [(name, path, draw) for name, path, draw in pictures if path is not None]
+    for name, path, _ in outputs:
         check_output(path, ".png", option=name)
     design, console = read_lens(prescription), open_console()
     with show_wait(console, "tracing"):
@@ -121,8 +121,8 @@ def lens(
         rows.append([f"{x:g}, {y:g}", spot, f"{distortion:.1f}", f"{passed:.3f}"])
     headings = ("object mm", "RMS spot µm", "distortion µm", "transmitted")
     console.print(make_table(design.name, headings, rows))
-    with atomic.all_or_none(path for _, path, _ in wanted):
-        for _, path, draw in wanted:
+    with atomic.all_or_none(path for _, path, _ in outputs):
+        for _, path, draw in outputs:
             images.write_figure(path, draw(design))
             console.print(f"wrote {path}")
 
@@ -134,19 +134,19 @@ def list_ghosts(
     window_mm: Annotated[float, option("Thickness of an N-BK7 window before the image [mm]")] = 0.0,
     gap_mm: Annotated[float, option("Distance from the window to the image [mm]")] = 1.0,
     coating: Annotated[float | None, option("Reflectance of its faces [default: uncoated]")] = None,
-    detector: Annotated[float, option("Reflectance of the detector")] = SILICON,
+    detector: Annotated[float, option("Reflectance of the detector array")] = SILICON,
     imaged: Annotated[float, option("Reflectance of the object plane", "--object")] = 0.0,
     pitch_um: Annotated[float, option("Pitch of the elements for comparison [µm]")] = 17.0,
 ) -> None:
     """List the ghosts of a lens: paths of two reflections, their light and size at the image."""
     for name, value in (("--coating", coating or 0.0), ("--detector", detector), ("--object", imaged)):
         if not 0 <= value < 1:
-            raise ValueError(f"`{name}` must be at least 0 and below 1, got {value:g}")
+            raise ValueError(f"`{name}` must be at least 0 and below 1; got {value:g}.")
     design, console = read_lens(prescription), open_console()
     if not 0 <= field < len(design.fields_mm):
-        raise ValueError(f"`--field` must be 0 to {len(design.fields_mm) - 1}, got {field}")
+        raise ValueError(f"`--field` must be 0 to {len(design.fields_mm) - 1}; got {field}.")
     if not 0 < pitch_um <= 1e6:
-        raise ValueError(f"`--pitch-um` must be above 0 and at most 1e6, got {pitch_um:g}")
+        raise ValueError(f"`--pitch-um` must be above 0 and at most 1e6; got {pitch_um:g}.")
     if window_mm:
         design = with_window(design, window_mm, gap_mm, reflectance=coating)
     with show_wait(console, "tracing"):

@@ -88,7 +88,7 @@ def run(
     """
     requirements = [read_requirement(text) for text in require or []]
     if in_process and (workers or scheduler):
-        raise ValueError("`--serial` must not be given with --workers or --scheduler, got both")
+        raise ValueError("`--serial` must not be given with --workers or --scheduler; got both.")
     plan = read_plan(find_case(study, "study"), allow_outside_paths)
     mine = plan if replicates is None else plan.first(replicates)
     folder = StudyFolder(output or Path(f"study-{plan.design.name}"))
@@ -107,7 +107,7 @@ def run(
         _print_plan(console, mine, folder, frame_cache, slots)
         return
     if memory is not None and not memory <= _MAX_GB:  # nan
-        raise ValueError(f"`--memory` must be at most {_MAX_GB:g} GB, got {memory:g}")
+        raise ValueError(f"`--memory` must be at most {_MAX_GB:g} GB; got {memory:g}.")
     limit = None if memory is None else int(memory * 1e9)
     if scheduler:
         started = dask(scheduler, workers, limit)

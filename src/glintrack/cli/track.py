@@ -19,7 +19,7 @@ from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.readings import report_reading
 from glintrack.io.toml import read_toml
 from glintrack.io.tracks import WRITERS, TrackGeoreference, write_tracks
-from glintrack.results.roc import ROC_SCORES, roc
+from glintrack.results.froc import FROC_SCORES, froc
 from glintrack.track.files import (
     DETECTIONS_DESIGN,
     FRAMES_DESIGN,
@@ -54,7 +54,7 @@ def track_files(
     channel: Annotated[str | None, option("Tracking channel: pan, dolp or all [default: pan]")] = None,
     design: Annotated[Path | None, option("TOML file with keys of a case's [track] table")] = None,
     strict: Annotated[bool, option("No coasted positions: fewer, purer tracks", "--strict")] = False,
-    roc_truth: Annotated[Path | None, option("CSV file of truth, to write roc.csv", "--roc")] = None,
+    froc_truth: Annotated[Path | None, option("CSV file of truth, to write froc.csv", "--froc")] = None,
 ) -> None:
     """Track your own detections or frames.
 
@@ -69,10 +69,10 @@ def track_files(
         _check_unused("frames", source, channel=channel, rate=rate_hz, geotransform=geotransform)
         chosen = None if features is None else tuple(n for n in features.split(",") if n not in ("", "none"))
         table = read_detections(source, sigma_m, chosen)
-        wanted = DETECTIONS_DESIGN.replace(changes)
-        wanted = strict_design(wanted) if strict else wanted
+        tracker = DETECTIONS_DESIGN.replace(changes)
+        tracker = strict_design(tracker) if strict else tracker
         with show_wait(console, "tracking"):
-            tracked = track_detections(table, wanted, area)
+            tracked = track_detections(table, tracker, area)
         box = " ".join(f"{v:.0f}" for v in tracked.area_m)
         count = len(table.time_s)
         report_reading(
@@ -82,29 +82,29 @@ def track_files(
             console.print(note)
         rows, (west, _, _, north) = tracked.rows, tracked.area_m
         place = TrackGeoreference(crs, north_west_m=(west, north), times_s=np.unique(table.time_s).tolist())
-        if roc_truth is not None:
-            swept = roc(table, read_truth(roc_truth), ROC_SCORES, wanted, area)
+        if froc_truth is not None:
+            swept = froc(table, read_truth(froc_truth), FROC_SCORES, tracker, area)
     else:
-        _check_unused("detections", source, roc=roc_truth, features=features, area=area)
+        _check_unused("detections", source, froc=froc_truth, features=features, area=area)
         frames = open_frames(source, rate_hz, None if geotransform is None else Geotransform(*geotransform))
         if crs is not None and frames.crs is not None and metric_crs(crs) != metric_crs(frames.crs):
-            raise ValueError(f"`crs` must be the frames' own, {frames.crs}, got {crs} (leave --crs out)")
-        wanted = frames_design(changes | ({} if channel is None else {"detect.channel": channel}))
-        wanted = strict_design(wanted) if strict else wanted
-        if wanted.detect.channel != "pan" and not frames.dolp:
+            raise ValueError(f"`crs` must be the frames' own, {frames.crs}; got {crs}. Leave --crs out.")
+        tracker = frames_design(changes | ({} if channel is None else {"detect.channel": channel}))
+        tracker = strict_design(tracker) if strict else tracker
+        if tracker.detect.channel != "pan" and not frames.dolp:
             raise ValueError(
-                f"`channel` must be pan for frames without bands I, Q and U, got {wanted.detect.channel} "
-                f"for {source}"
+                f"`channel` must be pan for frames without bands I, Q and U; got {tracker.detect.channel} "
+                f"for {source}."
             )
         first = list(next(((one,) for one in frames.frames), ()))
-        reports = track_frames(chain(first, frames.frames), wanted)
+        reports = track_frames(chain(first, frames.frames), tracker)
         with Bar(console, transient=True) as bar:
             reports = list(bar.track(reports, frames.count, description="tracking"))
         rows, times_s = as_rows(reports), sorted({time_s for time_s, _ in reports})
-        if wanted.detect.detector == FRAMES_DESIGN.detect.detector and len(times_s) < MIN_FRAMES:
+        if tracker.detect.detector == FRAMES_DESIGN.detect.detector and len(times_s) < MIN_FRAMES:
             raise ValueError(
-                f"`frames` must be at least {MIN_FRAMES}, through which a vehicle is seen to move, "
-                f"got {len(times_s)} in {source}"
+                f"`frames` must be at least {MIN_FRAMES}, through which a vehicle is seen to move; "
+                f"got {len(times_s)} in {source}."
             )
         place = TrackGeoreference(crs or frames.crs, times_s=times_s)
         for _, image in first:
@@ -122,7 +122,7 @@ def _check_unused(of: str, source: Path, **options: object) -> None:
     for name, value in options.items():
         if value is not None:
             got = " ".join(map(str, value)) if isinstance(value, tuple) else value
-            raise ValueError(f"`{name}` must be used with {of}, got {got} for {source}")
+            raise ValueError(f"`{name}` must be used with {of}; got {got} for {source}.")
 
 
 def _detection_notes(table: DetectionTable, tracked: TrackedRows) -> list[str]:
@@ -161,7 +161,7 @@ def _explain_no_tracks(times_s: Sequence[float]) -> str:
 def _write(
     console: Console, output: Path, rows: xr.Dataset, place: TrackGeoreference, swept: list[dict[str, float]]
 ) -> None:
-    """Write tracks and ROC curve into a new folder, and print how many tracks there are."""
+    """Write tracks and FROC curve into a new folder, and print how many tracks there are."""
     count = len(set(rows["track_id"].values.tolist())) if "track_id" in rows else 0
     if place.crs is not None and count:
         east_m, north_m = (float(np.median(rows[axis].values)) for axis in ("east_m", "north_m"))
@@ -171,13 +171,13 @@ def _write(
         names = write_tracks(folder.partial, rows, "tracks", place)
         if swept:
             lines = [",".join(swept[0]), *(",".join(f"{v:.6g}" for v in one.values()) for one in swept)]
-            atomic.write_text(folder.partial / "roc.csv", "\n".join(lines) + "\n")
-            names = [*names, "roc.csv"]
+            atomic.write_text(folder.partial / "froc.csv", "\n".join(lines) + "\n")
+            names = [*names, "froc.csv"]
     except BaseException:
         folder.discard()
         raise
     path = folder.publish()
-    over = f"{count} {'track' if count == 1 else 'tracks'} over {len(place.times_s)} epochs"
+    over = f"{count} {'track' if count == 1 else 'tracks'} over {len(place.times_s)} frames"
     if count:  # which shows coordinates that are in km
         width_m, height_m = (float(np.ptp(rows[axis].values)) for axis in ("east_m", "north_m"))
         over += f" within {width_m:.3g} m × {height_m:.3g} m"

@@ -37,7 +37,7 @@ _REQUIREMENTS = {
     **dict.fromkeys(("int_type", "int_parsing"), "a whole number"),
 }  # of pydantic's kinds of errors
 _COUNT = re.compile(r"(?:Tuple|List) should have (.+) after validation, not \d+")
-_CHOICE = re.compile(r"`[^`]+` must be (?:one of )?(?P<known>.+), got '(?P<got>[^']{1,60})'")
+_CHOICE = re.compile(r"`[^`]+` must be (?:one of )?(?P<known>.+); got '(?P<got>[^']{1,60})'\.")
 _MAX_ERRORS, _MAX_READ = 10, 1000  # that are reported, and of which sentences are made
 
 
@@ -123,7 +123,7 @@ def suggest_name(name: str, known: Iterable[str]) -> str:
     """Suggest the known name that is most like a wrong one, or list all of them."""
     known = sorted(known)
     near = _similar_names(name, known) or difflib.get_close_matches(name, known, n=1)
-    return f"did you mean `{near[0]}`?" if near else f"known are {', '.join(known)}"
+    return f"Did you mean `{near[0]}`?" if near else f"Known: {', '.join(known)}."
 
 
 def _similar_names(name: str, known: list[str]) -> list[str]:
@@ -147,7 +147,7 @@ def _suggest_key(name: str, path: tuple[str | int, ...], model: type[BaseModel])
         return suggest_name(name, own)
     keys = [key for key in _all_keys(model) if _similar_names(name, [key[-1]])]
     keys.sort(key=lambda key: (-difflib.SequenceMatcher(None, key[-1], name).ratio(), len(key)))
-    return f"did you mean `{'.'.join(keys[0])}`?" if keys else suggest_name(name, own)
+    return f"Did you mean `{'.'.join(keys[0])}`?" if keys else suggest_name(name, own)
 
 
 def _suggest_choice(sentence: str) -> str:
@@ -156,7 +156,7 @@ def _suggest_choice(sentence: str) -> str:
     words = re.split(r", | or ", found["known"]) if found else []
     words = [word.strip("'") for word in words if re.fullmatch(r"'?[\w-]+'?", word)]
     hint = suggest_name(found["got"], words) if found and len(words) > 1 else ""
-    return f"{sentence} ({hint})" if hint.startswith("did you mean") else sentence
+    return f"{sentence} {hint}" if hint.startswith("Did you mean") else sentence
 
 
 def _all_keys(model: type[BaseModel], path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -198,7 +198,7 @@ def with_changes(value: Any, changes: Mapping[str, Any]) -> dict[str, Any]:
     for key, changed in changes.items():
         head, _, rest = key.partition(".")
         if key.count(".") > MAX_DEPTH:
-            raise ValueError(f"`{key[:60]}…` must name a key of a table, got one nested too deeply")
+            raise ValueError(f"`{key[:60]}…` must name a key of a table; got one nested too deeply.")
         if rest:
             inner.setdefault(head, {})[rest] = changed
         else:
@@ -229,9 +229,9 @@ def _sentence(error, model: type[BaseModel]) -> str:
     key, kind = ".".join(str(part) for part in path), error["type"]
     if kind == "extra_forbidden":
         hint = _suggest_key(str(path[-1]), path[:-1], model)
-        return f"`{key}` must be a known key, got an unknown one ({hint})"
+        return f"`{key}` must be a known key; got an unknown one. {hint}"
     if kind == "missing":
-        return f"`{key}` must be given, got only {', '.join(map(str, error['input'])) or 'an empty table'}"
+        return f"`{key}` must be given; got only {', '.join(map(str, error['input'])) or 'an empty table'}."
     message = error["msg"].removeprefix("Value error, ")
     if kind == "value_error":
         tables = [str(part) for k, part in enumerate(path) if fields_at(model, path[: k + 1])]
@@ -248,7 +248,7 @@ def _sentence(error, model: type[BaseModel]) -> str:
             requirement, got = f"{requirement} {unit}", f"{got} {unit}"
         elif kind.startswith(("float_", "int_")):
             requirement = f"{requirement} in {unit}"
-    return f"`{key}` must be {requirement}, got {got}{decimal_comma_hint(error['input'])}"
+    return f"`{key}` must be {requirement}; got {got}.{decimal_comma_hint(error['input'])}"
 
 
 def _shorten(text: str, length: int = 100) -> str:

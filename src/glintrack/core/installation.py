@@ -69,7 +69,7 @@ def require_extra(module: str, extra: str, purpose: str) -> ModuleType:
 def missing_extra(package: str, extra: str, purpose: str) -> str:
     """Message that an extra is missing, with the command that installs it."""
     line = install_line(extra)
-    return f"the extra `{extra}` must be installed to {purpose}, got no package {package} ({line})"
+    return f"the extra `{extra}` must be installed to {purpose}; got no package {package}. Run: {line}"
 
 
 def install_line(extra: str) -> str:

@@ -142,26 +142,26 @@ def check(dataset: xr.Dataset, schema: str) -> xr.Dataset:
             units_found = dataset.variables[name].attrs.get("units")
             expected = "element" if schema == "frame" and name in ("x", "y") else units
             if units_found != expected:
-                raise ValueError(f"`{schema}.{name}` must have units {expected!r}, got {units_found!r}")
+                raise ValueError(f"`{schema}.{name}` must have units {expected!r}; got {units_found!r}.")
     return dataset
 
 
 def _check_variable(dataset: xr.Dataset, label: str, name: str, variable: Variable) -> None:
     if name not in dataset:
-        raise ValueError(f"`{label}` must be present, got only {sorted(map(str, dataset.data_vars))}")
+        raise ValueError(f"`{label}` must be present; got only {sorted(map(str, dataset.data_vars))}.")
     array = dataset.variables[name]
     if array.dims != variable.dims:
-        raise ValueError(f"`{label}` must have dims {variable.dims}, got {array.dims}")
+        raise ValueError(f"`{label}` must have dims {variable.dims}; got {array.dims}.")
     if array.attrs.get("units") not in {variable.units, variable.or_units or variable.units}:
-        raise ValueError(f"`{label}` must have units {variable.units!r}, got {array.attrs.get('units')!r}")
+        raise ValueError(f"`{label}` must have units {variable.units!r}; got {array.attrs.get('units')!r}.")
     if "stokes" in variable.dims:
         stokes = list(map(str, dataset["stokes"].values)) if "stokes" in dataset.coords else None
         if stokes not in (["I", "Q", "U"], ["I", "Q", "U", "V"]):
-            raise ValueError(f"`{label}` must have a stokes coordinate I Q U [V], got {stokes}")
+            raise ValueError(f"`{label}` must have a stokes coordinate I Q U [V]; got {stokes}.")
         if array.attrs.get("stokes_frame") not in ("detector", "meridian", "incidence"):
             raise ValueError(
-                f"`{label}` must name its stokes_frame (detector, meridian or incidence), "
-                f"got {array.attrs.get('stokes_frame')!r}"
+                f"`{label}` must name its stokes_frame (detector, meridian or incidence); "
+                f"got {array.attrs.get('stokes_frame')!r}."
             )
     if array.size == 0:
         return
@@ -169,7 +169,7 @@ def _check_variable(dataset: xr.Dataset, label: str, name: str, variable: Variab
     if variable.choices:
         if wrong := set(values.tolist()) - set(variable.choices):
             raise ValueError(
-                f"`{label}` must be one of {', '.join(variable.choices)}, got {min(map(str, wrong))}"
+                f"`{label}` must be one of {', '.join(variable.choices)}; got {min(map(str, wrong))}."
             )
         return
     # two passes over the largest arrays: the extremes show what is not finite
@@ -178,9 +178,9 @@ def _check_variable(dataset: xr.Dataset, label: str, name: str, variable: Variab
     if variable.nan_allowed and np.isnan(low) and np.isnan(high):
         return
     if not (np.isfinite(low) and np.isfinite(high)):
-        stray = np.isinf(values) if variable.nan_allowed else ~np.isfinite(values)
-        raise ValueError(f"`{label}` must be finite, got {int(stray.sum())} that are not")
+        bad = np.isinf(values) if variable.nan_allowed else ~np.isfinite(values)
+        raise ValueError(f"`{label}` must be finite; got {int(bad.sum())} that are not.")
     if low < variable.lowest or high > variable.highest:
         raise ValueError(
-            f"`{label}` must lie within {variable.lowest:g} to {variable.highest:g}, got {low:g} to {high:g}"
+            f"`{label}` must lie within {variable.lowest:g} to {variable.highest:g}; got {low:g} to {high:g}."
         )

@@ -28,15 +28,15 @@ def wavelength_grid(
     """
     if not MIN_WAVELENGTH_UM <= start_um < stop_um <= MAX_WAVELENGTH_UM:
         raise ValueError(
-            f"`wavelength` range must rise within {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} µm, "
-            f"got {start_um} to {stop_um}"
+            f"`wavelength` range must rise within {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} µm; "
+            f"got {start_um} to {stop_um}."
         )
     if 0 < step_um < MIN_STEP_UM:
-        raise ValueError(f"`step_um` must be at least {MIN_STEP_UM:g} µm, got {step_um:g}")
+        raise ValueError(f"`step_um` must be at least {MIN_STEP_UM:g} µm; got {step_um:g}.")
     steps = (stop_um - start_um) / step_um if step_um > 0 else np.nan
     # a millionth of a step: rounding of decimal steps only
     if not (steps > 0.5 and abs(steps - np.rint(steps)) < 1e-6):
-        raise ValueError(f"`step_um` must divide {start_um} to {stop_um} µm into whole steps, got {step_um}")
+        raise ValueError(f"`step_um` must divide {start_um} to {stop_um} µm into whole steps; got {step_um}.")
     return np.round(np.linspace(start_um, stop_um, round(steps) + 1), 9)
 
 
@@ -53,15 +53,15 @@ def check_wavelengths(wavelength_um: ArrayLike, name: str = "wavelength_um") -> 
     """Refuse wavelengths that are empty, not rising, or outside 0.4 to 2.5 µm. [µm]"""
     wavelength_um = np.atleast_1d(np.asarray(wavelength_um, dtype=float))
     if wavelength_um.size == 0:
-        raise ValueError(f"`{name}` must name at least one wavelength, got none")
+        raise ValueError(f"`{name}` must name at least one wavelength; got none.")
     inside = (wavelength_um >= MIN_WAVELENGTH_UM - 1e-9) & (wavelength_um <= MAX_WAVELENGTH_UM + 1e-9)
     if not inside.all():
         raise ValueError(
-            f"`{name}` must lie within {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} µm, "
-            f"got {wavelength_um[~inside][0]:g}"
+            f"`{name}` must lie within {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} µm; "
+            f"got {wavelength_um[~inside][0]:g}."
         )
     if np.any(np.diff(wavelength_um) <= 0):
-        raise ValueError(f"`{name}` must rise, got {wavelength_um.tolist()[:6]}…")
+        raise ValueError(f"`{name}` must rise; got {wavelength_um.tolist()[:6]}…")
     return wavelength_um
 
 
@@ -88,8 +88,8 @@ def resample(
     wavelength_um = np.asarray(wavelength_um, dtype=float)
     if wavelength_um.min() < table_um[0] - 1e-9 or wavelength_um.max() > table_um[-1] + 1e-9:
         raise ValueError(
-            f"`{name}` must cover {wavelength_um.min():g} to {wavelength_um.max():g} µm, "
-            f"got data from {table_um[0]:g} to {table_um[-1]:g} µm"
+            f"`{name}` must cover {wavelength_um.min():g} to {wavelength_um.max():g} µm; "
+            f"got data from {table_um[0]:g} to {table_um[-1]:g} µm."
         )
     flat = values.reshape(-1, values.shape[-1])
     out = np.stack([np.interp(wavelength_um, table_um, row) for row in flat])
@@ -100,8 +100,8 @@ def check_band(name: str, start_um: float, stop_um: float) -> None:
     """Refuse band edges that do not rise within 0.4 to 2.5 µm."""
     if not MIN_WAVELENGTH_UM <= start_um < stop_um <= MAX_WAVELENGTH_UM:
         raise ValueError(
-            f"`{name}` must rise within {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} µm, "
-            f"got {start_um} to {stop_um}"
+            f"`{name}` must rise within {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} µm; "
+            f"got {start_um} to {stop_um}."
         )
 
 
@@ -135,8 +135,8 @@ def channel_weights(
     total = weights.sum(axis=-1, keepdims=True)
     if np.any(total <= 0) or not np.isfinite(total).all():
         raise ValueError(
-            f"`responses` must be positive somewhere on the wavelength grid, "
-            f"got channel {int(np.argmin(total))} with none"
+            f"`responses` must be positive somewhere on the wavelength grid; "
+            f"got channel {int(np.argmin(total))} with none."
         )
     return weights / total
 

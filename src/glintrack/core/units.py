@@ -45,9 +45,9 @@ def format_duration(seconds: float) -> str:
 
 
 def decimal_comma_hint(value: object) -> str:
-    """Remedy for a number with a decimal comma, such as " (write 3.45)"; empty for anything else."""
+    """Remedy for a number with a decimal comma, such as " Write 3.45, with a point."; else empty."""
     found = _DECIMAL_COMMA.fullmatch(value) if isinstance(value, str) else None
-    return f" (write {found[1]}.{found[2]}, with a point)" if found else ""
+    return f" Write {found[1]}.{found[2]}, with a point." if found else ""
 
 
 def format_number(value: float, digits: int = 3) -> str:

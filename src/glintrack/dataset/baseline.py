@@ -23,7 +23,7 @@ from glintrack.sensor import mosaic_of
 from glintrack.track import Frame, TrackDesign, advance, flush, report, start, step
 from glintrack.track.files import FRAMES_DESIGN, as_rows
 
-SCORES = ("completeness", "completeness_visible", "purity", "idf1", "hota", "false_per_epoch")
+SCORES = ("completeness", "completeness_visible", "purity", "idf1", "hota", "false_per_frame")
 
 
 @dataclass(frozen=True)

@@ -69,17 +69,17 @@ def _open_folder(folder: Path, plan: DatasetPlan) -> None:
         found = read_toml(about, "dataset").get("key")
         if found != plan.key:
             raise ValueError(
-                f"`output` must be new, or hold a set of the same cases and version, got {folder} with "
-                "another (choose another -o)"
+                f"`output` must be new, or hold a set of the same cases and version; got {folder} with "
+                "another. Choose another -o."
             )
         return
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ValueError(f"`output` must be a new or empty folder, got {folder} (choose another -o)")
+        raise ValueError(f"`output` must be a new or empty folder; got {folder}. Choose another -o.")
     try:
         for inner in FOLDERS:
             (folder / inner).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ValueError(f"`output` must be writable, got {folder} ({error.strerror})") from error
+        raise ValueError(f"`output` must be writable; got {folder}: {error.strerror}.") from error
     for name, case in plan.cases.items():
         write_text(folder / "cases" / f"{name}.toml", to_toml(case))
     of_case = {name: {"split": plan.split[name], "city": city_of(case)} for name, case in plan.cases.items()}
@@ -104,17 +104,17 @@ def read_plan(folder: str | Path, allow_outside_paths: bool = False) -> DatasetP
     """
     folder = Path(folder)
     if not (folder / ABOUT).is_file():
-        raise ValueError(f"`DATASET` must be a folder that `glintrack dataset` wrote, got {folder}")
+        raise ValueError(f"`DATASET` must be a folder that `glintrack dataset` wrote; got {folder}.")
     split, shard_frames = read_about(folder / ABOUT)
     cases = {name: Case.from_toml(folder / "cases" / f"{name}.toml", allow_outside_paths) for name in split}
     if any(case.name != name for name, case in cases.items()):
-        raise ValueError(f"`DATASET` must have files of cases by their names, got others in {folder}")
+        raise ValueError(f"`DATASET` must have files of cases by their names; got others in {folder}.")
     plan = DatasetPlan(cases, split, shard_frames)
     for name in cases:
         for shard in plan.shards(name):
             if not is_done(folder, shard):
                 raise ValueError(
-                    f"`DATASET` must be whole and of this version, got {folder} without shard {shard.name}"
+                    f"`DATASET` must be whole and of this version; got {folder} without shard {shard.name}."
                 )
     return plan
 
@@ -130,10 +130,10 @@ def read_about(path: Path) -> tuple[dict[str, str], int]:
     about = read_toml(path, "dataset")
     named, frames = about.get("cases"), about.get("shard_frames")
     if not isinstance(named, dict) or not named or not all(isinstance(v, dict) for v in named.values()):
-        raise ValueError(f"`DATASET` must name its cases, got none in {path}")
+        raise ValueError(f"`DATASET` must name its cases; got none in {path}.")
     if type(frames) is not int or not 1 <= frames <= MAX_SHARD_FRAMES:
-        raise ValueError(f"`DATASET` must have shard_frames of 1 to {MAX_SHARD_FRAMES}, got {frames!r}")
+        raise ValueError(f"`DATASET` must have shard_frames of 1 to {MAX_SHARD_FRAMES}; got {frames!r}.")
     split = {name: one.get("split") for name, one in named.items()}
     if any(one not in SPLITS or Path(name).name != name for name, one in split.items()):
-        raise ValueError(f"`DATASET` must have cases of a split ({', '.join(SPLITS)}), got others in {path}")
+        raise ValueError(f"`DATASET` must have cases of a split ({', '.join(SPLITS)}); got others in {path}.")
     return {name: str(one) for name, one in split.items()}, frames

@@ -102,7 +102,7 @@ class DatasetPlan:
         found = [name for name in self.cases if self.split[name] == split]
         if not found:
             known = ", ".join(sorted(set(self.split.values())))
-            raise ValueError(f"`split` must be one that the set has ({known}), got {split!r}")
+            raise ValueError(f"`split` must be one that the set has ({known}); got {split!r}.")
         return found
 
     @property
@@ -155,9 +155,9 @@ def plan_dataset(
         If two cases have one name, or one has an exposure that follows the light, or more bits than raws.
     """
     if not 1 <= shard_frames <= MAX_SHARD_FRAMES:
-        raise ValueError(f"`shard-frames` must lie within 1 to {MAX_SHARD_FRAMES}, got {shard_frames}")
+        raise ValueError(f"`shard-frames` must lie within 1 to {MAX_SHARD_FRAMES}; got {shard_frames}.")
     if frames is not None and not 1 <= frames <= 100_000:
-        raise ValueError(f"`frames` must lie within 1 to 100000, got {frames}")
+        raise ValueError(f"`frames` must lie within 1 to 100000; got {frames}.")
     designs: list[Case] = []
     whole: dict[str, Case] = {}
     for one in cases:
@@ -172,7 +172,7 @@ def plan_dataset(
             if not chosen:
                 raise ValueError(
                     f"`CASE` must match a case of the standard set, as {STANDARD}/*-clear or "
-                    f"{STANDARD}/wildau-*, got {one!r}"
+                    f"{STANDARD}/wildau-*; got {one!r}."
                 )
             designs += chosen
     if frames is not None:
@@ -180,18 +180,18 @@ def plan_dataset(
     names = [case.name for case in designs]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice or not names:
-        raise ValueError(f"`CASE` must be named once each, got {f'{twice[0]!r} twice' if twice else 'none'}")
+        raise ValueError(f"`CASE` must be named once each; got {f'{twice[0]!r} twice' if twice else 'none'}.")
     for case in designs:
         quantile, bits = case.sensor.auto_exposure.quantile, case.sensor.bits
         if quantile > 0:
             raise ValueError(
-                "`sensor.auto_exposure.quantile` must be 0 in a set, where each frame is independent, got "
-                f"{quantile:g} in {case.name}"
+                "`sensor.auto_exposure.quantile` must be 0 in a set, where each frame is independent; got "
+                f"{quantile:g} in {case.name}."
             )
         if bits > _BITS:
             raise ValueError(
-                f"`sensor.bits` must be at most {_BITS} in a set, the depth of its files, got {bits} in "
-                f"{case.name}"
+                f"`sensor.bits` must be at most {_BITS} in a set, the depth of its files; got {bits} in "
+                f"{case.name}."
             )
     found = dict(zip(names, designs, strict=True))
     split = split_by_city({**whole, **found})  # a part of the standard set has the splits of the whole

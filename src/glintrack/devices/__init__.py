@@ -1,4 +1,4 @@
-"""Devices over the detector's elements, solved from their physics: wire grids, etalon and micromirror."""
+"""Devices over the elements, solved from their physics: wire grids, etalon and micromirror."""
 
 from glintrack.devices import etalon, micromirror, optical_constants, wire_grid
 from glintrack.devices.etalon import EtalonDesign

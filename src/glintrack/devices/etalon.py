@@ -1,6 +1,6 @@
 """Tunable Fabry–Pérot etalon over a pixel (§3.1, Figure 4a): transmittance at each gap, spectra from a sweep.
 
-Two thin metal films face each other over an air gap. The lower one is on the window before the detector, the
+Two thin metal films face each other over an air gap. The lower one is on the window before the array, the
 upper one hangs on springs. Order 1 passes a band above twice the gap, since metals reflect with a phase.
 From a gap of about 350 nm order 2 is in the visible, too: an order filter blocks it, or the whole response
 is inverted (`reconstruct`).
@@ -90,12 +90,12 @@ class EtalonDesign(Design):
     def _fits_together(self) -> Self:
         if not self.gap_start_nm < self.gap_stop_nm:
             raise ValueError(
-                f"`gap_stop_nm` must exceed gap_start_nm = {self.gap_start_nm:g}, got {self.gap_stop_nm:g}"
+                f"`gap_stop_nm` must exceed gap_start_nm = {self.gap_start_nm:g}; got {self.gap_stop_nm:g}."
             )
         if self.f_number is not None and self.polarization != "unpolarized":
             raise ValueError(
-                f"`polarization` must be 'unpolarized' with an f_number, got {self.polarization!r} "
-                "(a cone holds every plane of incidence)"
+                f"`polarization` must be 'unpolarized' with an f_number; got {self.polarization!r}. "
+                "A cone holds every plane of incidence."
             )
         wavelength_grid(self.wavelength_start_um, self.wavelength_stop_um, self.wavelength_step_um)
         return self
@@ -135,7 +135,7 @@ def responses(
     wavelength = check_wavelengths(design.wavelengths_um if wavelength_um is None else wavelength_um)
     if gaps.size == 0 or not np.all(gaps >= 0):
         came = "none" if gaps.size == 0 else f"{gaps.min():g}"
-        raise ValueError(f"`gaps_um` must be 0 or more, got {came}")
+        raise ValueError(f"`gaps_um` must be 0 or more; got {came}.")
     through = _transmittance(design, gaps[:, None], wavelength)
     filter_in = np.zeros(gaps.size, bool)
     if design.order_filter is not None:
@@ -172,7 +172,7 @@ def find_peaks(design: EtalonDesign, wavelength_um: ArrayLike, order: int = 1) -
     """
     wavelength = check_wavelengths(wavelength_um)
     if order < 1:
-        raise ValueError(f"`order` must be 1 or more, got {order}")
+        raise ValueError(f"`order` must be 1 or more; got {order}.")
     gap, peak, width = np.empty((3, wavelength.size))
     for i, w in enumerate(wavelength):
         low, high = max(0.03 * w, (order / 2 - 0.25) * w), (order / 2 + 0.02) * w
@@ -236,8 +236,8 @@ def _rays(design: EtalonDesign) -> tuple[Array, Array]:
     cosine = np.cos(chief) * np.cos(away) - np.sin(chief) * np.sin(away) * np.cos(azimuth)
     if not np.all(cosine > 0):
         raise ValueError(
-            f"`incidence_deg` must leave the whole cone above the horizon, got {design.incidence_deg:g}° "
-            f"at F/{design.f_number:g}"
+            f"`incidence_deg` must leave the whole cone above the horizon; got {design.incidence_deg:g}° "
+            f"at F/{design.f_number:g}."
         )
     return np.arccos(cosine).ravel(), np.repeat(weight / 2 / _SPOKES, _SPOKES)
 
@@ -331,22 +331,22 @@ def reconstruct(
     values, weights = np.atleast_2d(np.asarray(readings, float)), np.asarray(weights, float)
     if weights.ndim != 2 or weights.shape[1] != wavelength.size or wavelength.size < 4:
         raise ValueError(
-            f"`weights` must be (gap, wavelength) with the {wavelength.size} wavelengths given (4 or more), "
-            f"got shape {weights.shape}"
+            f"`weights` must be (gap, wavelength) with the {wavelength.size} wavelengths given (4 or more); "
+            f"got shape {weights.shape}."
         )
     if values.ndim != 2 or values.shape[1] != len(weights):
         raise ValueError(
-            f"`readings` must hold one value for each of {len(weights)} gaps, got shape {values.shape}"
+            f"`readings` must hold one value for each of {len(weights)} gaps; got shape {values.shape}."
         )
     if not (np.isfinite(values).all() and np.isfinite(weights).all()):
-        raise ValueError("`readings` and weights must be finite, got NaN or infinity (drop those gaps)")
+        raise ValueError("`readings` and weights must be finite; got NaN or infinity. Drop those gaps.")
     sigma = np.atleast_2d(np.asarray(noise, float))
     if sigma.shape[-1] not in (1, values.shape[1]) or len(sigma) not in (1, len(values)):
         raise ValueError(
-            f"`noise` must be one number, one a gap or one a reading {values.shape}, got shape {sigma.shape}"
+            f"`noise` must be one number, one a gap or one a reading {values.shape}; got shape {sigma.shape}."
         )
     if not (sigma > 0).all():
-        raise ValueError(f"`noise` must be positive, got {sigma.min():g}")
+        raise ValueError(f"`noise` must be positive; got {sigma.min():g}.")
     sigma = np.broadcast_to(sigma, (len(sigma), values.shape[1]))
     smooth = np.linalg.inv(_curvature(wavelength))
     groups = [values] if len(sigma) == 1 else values[:, None]

@@ -83,7 +83,7 @@ class MetalDesign(Design):
         if (self.model == "table") != (self.table is not None):
             came = "none" if self.table is None else str(self.table)
             raise ValueError(
-                f"`metal.table` must name a CSV file if and only if `metal.model` is 'table', got {came}"
+                f"`metal.table` must name a CSV file if and only if `metal.model` is 'table'; got {came}."
             )
         return self
 
@@ -163,28 +163,28 @@ def read_spectra(
     table = read_csv(path, key, types=str)
     if missing := {"wavelength_um", *limits} - set(table):
         raise ValueError(
-            f"`{key}` must have columns wavelength_um and {' and '.join(limits)}, got no "
-            f"{' and no '.join(sorted(missing))} among {', '.join(map(str, table)) or 'none'} in {path}"
+            f"`{key}` must have columns wavelength_um and {' and '.join(limits)}; got no "
+            f"{' and no '.join(sorted(missing))} among {', '.join(map(str, table)) or 'none'} in {path}."
         )
     try:
         found = {name: np.array([float(v) for v in table[name]]) for name in ("wavelength_um", *limits)}
     except ValueError as error:
-        raise ValueError(f"`{key}` must hold numbers, got {error} in {path}") from error
+        raise ValueError(f"`{key}` must hold numbers; got {error} in {path}.") from error
     um = found["wavelength_um"]
     if len(um) < 2:
-        raise ValueError(f"`{key}` must have at least 2 rows, got {len(um)} in {path}")
+        raise ValueError(f"`{key}` must have at least 2 rows; got {len(um)} in {path}.")
     falls = np.flatnonzero(~(np.diff(um) > 0))
     if len(falls):
         before, after = um[falls[0]], um[falls[0] + 1]
         raise ValueError(
-            f"`{key}` must have rising wavelengths, got {before:g} before {after:g} µm in {path}"
+            f"`{key}` must have rising wavelengths; got {before:g} before {after:g} µm in {path}."
         )
     for name, largest in limits.items():
         outside = np.flatnonzero(~((found[name] >= 0) & (found[name] <= largest)))
         if len(outside):
             worst, at_um = found[name][outside[0]], um[outside[0]]
             raise ValueError(
-                f"`{key}` must have {name} within 0 to {largest:g}, got {worst:g} at {at_um:g} µm in {path}"
+                f"`{key}` must have {name} within 0 to {largest:g}; got {worst:g} at {at_um:g} µm in {path}."
             )
     return found
 
@@ -193,6 +193,6 @@ def _check_range(wavelength_um: Array, limits_um: tuple[float, float], what: str
     outside = (wavelength_um < limits_um[0] - 1e-9) | (wavelength_um > limits_um[1] + 1e-9)
     if outside.any():
         raise ValueError(
-            f"`wavelength_um` must lie within {limits_um[0]:g} to {limits_um[1]:g} µm, where {what} holds, "
-            f"got {wavelength_um[outside].flat[0]:g}"
+            f"`wavelength_um` must lie within {limits_um[0]:g} to {limits_um[1]:g} µm, where {what} holds; "
+            f"got {wavelength_um[outside].flat[0]:g}."
         )

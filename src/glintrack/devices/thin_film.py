@@ -111,23 +111,25 @@ def _check(
     n: list[Array], d: list[Array], wavelength_um: Array, incidence_rad: Array, polarization: str
 ) -> None:
     if polarization not in ("s", "p"):
-        raise ValueError(f"`polarization` must be 's' or 'p', got {polarization!r}")
+        raise ValueError(f"`polarization` must be 's' or 'p'; got {polarization!r}.")
     if len(n) < 2 or len(d) != len(n) - 2:
         raise ValueError(
-            f"`thicknesses_um` must have two entries fewer than `indices` (which hold both outer media), "
-            f"got {len(d)} for {len(n)}"
+            f"`thicknesses_um` must have two entries fewer than `indices` (which hold both outer media); "
+            f"got {len(d)} for {len(n)}."
         )
     for k, thickness in enumerate(d):
         if not np.all(thickness >= 0):
-            raise ValueError(f"`thicknesses_um[{k}]` must be 0 or more, got {np.min(thickness):g}")
+            raise ValueError(f"`thicknesses_um[{k}]` must be 0 or more; got {np.min(thickness):g}.")
     if not np.all(wavelength_um > 0):
-        raise ValueError(f"`wavelength_um` must be positive, got {np.min(wavelength_um):g}")
+        raise ValueError(f"`wavelength_um` must be positive; got {np.min(wavelength_um):g}.")
     if not np.all((incidence_rad >= 0) & (incidence_rad < np.pi / 2)):
-        raise ValueError(f"`incidence_rad` must lie in 0 to under π/2, got {np.max(incidence_rad):g}")
+        raise ValueError(f"`incidence_rad` must lie in 0 to under π/2; got {np.max(incidence_rad):g}.")
     if np.any(np.imag(n[0]) != 0) or np.any(np.real(n[0]) <= 0):
-        raise ValueError("`indices[0]` must be real and positive, got a medium that absorbs before the stack")
+        raise ValueError(
+            "`indices[0]` must be real and positive; got a medium that absorbs before the stack."
+        )
     for k, index in enumerate(n):
         if np.any(np.imag(index) < 0):
             raise ValueError(
-                f"`indices[{k}]` must have Im ≥ 0 (fields follow e^(−iωt)), got {np.min(np.imag(index)):g}"
+                f"`indices[{k}]` must have Im ≥ 0 (fields follow e^(−iωt)); got {np.min(np.imag(index)):g}."
             )

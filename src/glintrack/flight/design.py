@@ -63,7 +63,7 @@ class FlightDesign(Design):
             raise ValueError(
                 f"`flight.altitude_m` must be at most {MAX_ALTITUDE_M:,.0f} m, since satellites are outside "
                 f"the model's range; got {value:,.0f} m. To approximate the view, fly at that height with "
-                f"`sensor.focal_length_mm` × {MAX_ALTITUDE_M / value:.3g} for an equal ground sample distance"
+                f"`sensor.focal_length_mm` × {MAX_ALTITUDE_M / value:.3g} for the same sample distance."
             )
         return value
 
@@ -71,8 +71,8 @@ class FlightDesign(Design):
     def _keys_fit_the_kind(self) -> Self:
         if (self.kind == "waypoints") != (self.waypoint_file is not None):
             raise ValueError(
-                "`flight.waypoint_file` must be given with kind = 'waypoints' and only then, got "
-                f"kind = {self.kind!r} and {self.waypoint_file!r}"
+                "`flight.waypoint_file` must be given with kind = 'waypoints' and only then; got "
+                f"kind = {self.kind!r} and {self.waypoint_file!r}."
             )
         return self
 

@@ -45,8 +45,8 @@ class Flight:
         """Check that there are waypoints only with that kind of path."""
         if (self.waypoints is not None) != (self.design.kind == "waypoints"):
             raise ValueError(
-                "`waypoints` must be given with kind = 'waypoints' and only then (see `build_flight`), got "
-                f"kind = {self.design.kind!r}"
+                "`waypoints` must be given with kind = 'waypoints' and only then (see `build_flight`); got "
+                f"kind = {self.design.kind!r}."
             )
 
     @property
@@ -138,8 +138,8 @@ def build_flight(
     first, last = flight.times_s[0], flight.times_s[-1]
     if first < times[0] - 1e-9 or last > times[-1] + 1e-9:
         raise ValueError(
-            f"`waypoint_file` must cover the frames, {first:g} to {last:g} s, got {times[0]:g} to "
-            f"{times[-1]:g} s in {path.name} (see flight.frames and flight.rate_hz)"
+            f"`waypoint_file` must cover the frames, {first:g} to {last:g} s; got {times[0]:g} to "
+            f"{times[-1]:g} s in {path.name}. See flight.frames and flight.rate_hz."
         )
     return flight
 
@@ -156,14 +156,14 @@ def check_recorded(design: FlightDesign, recording_duration_s: float) -> None:
     frames = math.floor((recording_duration_s - design.start_s) * design.rate_hz + 1e-6) + 1
     if frames < 1:
         raise ValueError(
-            f"`flight.start_s` must lie within the recorded traffic, 0 to {recording_duration_s:g} s, got "
-            f"{design.start_s:g} (SUMO records longer by `scene.traffic_duration_s`)"
+            f"`flight.start_s` must lie within the recorded traffic, 0 to {recording_duration_s:g} s; got "
+            f"{design.start_s:g}. Increase `scene.traffic_duration_s`."
         )
     if design.frames > frames:
         raise ValueError(
             f"`flight.frames` must end within the recorded traffic: at most {frames} at "
-            f"{design.rate_hz:g} Hz from {design.start_s:g} to {recording_duration_s:g} s, got "
-            f"{design.frames} (use fewer, or increase `scene.traffic_duration_s`)"
+            f"{design.rate_hz:g} Hz from {design.start_s:g} to {recording_duration_s:g} s; got "
+            f"{design.frames}. Use fewer, or increase `scene.traffic_duration_s`."
         )
 
 
@@ -189,17 +189,17 @@ def _position(design: FlightDesign, look: float, after_s: float) -> tuple[float,
     half_circle = math.pi * turn
     way = (way + leg / 2) % (2 * leg + 2 * math.pi * turn)
     if way < leg:
-        x, y, turned = way - leg / 2, 0.0, 0.0
+        x, y, angle = way - leg / 2, 0.0, 0.0
     elif way < leg + half_circle:
-        turned = (way - leg) / turn
-        x, y = leg / 2 + turn * math.sin(turned), turn * (1 - math.cos(turned))
+        angle = (way - leg) / turn
+        x, y = leg / 2 + turn * math.sin(angle), turn * (1 - math.cos(angle))
     elif way < 2 * leg + half_circle:
-        x, y, turned = leg / 2 - (way - leg - half_circle), 2 * turn, math.pi
+        x, y, angle = leg / 2 - (way - leg - half_circle), 2 * turn, math.pi
     else:
-        turned = math.pi + (way - 2 * leg - half_circle) / turn
-        x, y = -leg / 2 + turn * math.sin(turned), turn * (1 - math.cos(turned))
+        angle = math.pi + (way - 2 * leg - half_circle) / turn
+        x, y = -leg / 2 + turn * math.sin(angle), turn * (1 - math.cos(angle))
     # clockwise, the outward side is on the right: the course of the near leg is 90° left of outward
     along = viewpoint - sense * math.pi / 2
     out = radius + y
     east = out * math.sin(viewpoint) + x * math.sin(along)
-    return east, out * math.cos(viewpoint) + x * math.cos(along), along + sense * turned
+    return east, out * math.cos(viewpoint) + x * math.cos(along), along + sense * angle

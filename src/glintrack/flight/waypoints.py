@@ -49,23 +49,23 @@ class Waypoints:
             If there are fewer than two, two coincide, or the speed is 0 and times are needed.
         """
         if len(self.place_m) < 2:
-            raise ValueError(f"`waypoint_file` must hold two waypoints or more, got {len(self.place_m)}")
+            raise ValueError(f"`waypoint_file` must hold two waypoints or more; got {len(self.place_m)}.")
         if self.time_s is not None:
             late = np.flatnonzero(np.diff(self.time_s) <= 0)
             if late.size:
                 raise ValueError(
-                    f"`waypoint_file` must have rising times, got {self.time_s[late[0] + 1]:g} s after "
-                    f"{self.time_s[late[0]]:g} s"
+                    f"`waypoint_file` must have rising times; got {self.time_s[late[0] + 1]:g} s after "
+                    f"{self.time_s[late[0]]:g} s."
                 )
             return self
         step = np.linalg.norm(np.diff(self.place_m, axis=0), axis=1)
         if (step < _MIN_STEP_M).any():
             raise ValueError(
-                "`waypoint_file` must not hold the same place twice in a row without times, got "
-                f"{self.place_m[int(step.argmin())].round(3).tolist()} twice"
+                "`waypoint_file` must not hold the same place twice in a row without times; got "
+                f"{self.place_m[int(step.argmin())].round(3).tolist()} twice."
             )
         if speed_m_s <= 0:
-            raise ValueError("`flight.speed_m_s` must be positive for waypoints without times, got 0")
+            raise ValueError("`flight.speed_m_s` must be positive for waypoints without times; got 0.")
         time_s = start_s + np.concatenate([[0.0], np.cumsum(step)]) / speed_m_s
         return Waypoints(self.place_m, time_s, self.attitude_rad)
 
@@ -94,7 +94,7 @@ class Waypoints:
     def clock_s(self) -> Float[Array, "point"]:
         """Times of waypoints that have them. [s]"""
         if self.time_s is None:
-            raise ValueError("`waypoints` must have times, got none (see `with_times`)")
+            raise ValueError("`waypoints` must have times; got none. See `with_times`.")
         return self.time_s
 
 
@@ -127,12 +127,12 @@ def read_waypoints(
     """
     readers = {".csv": _read_csv, ".kml": _read_kml}
     if path.suffix.lower() not in readers:
-        raise ValueError(f"`waypoint_file` must end in .csv or .kml, got {path.name!r}")
+        raise ValueError(f"`waypoint_file` must end in .csv or .kml; got {path.name!r}.")
 
     def to_enu(degrees: Array, datum: float) -> Array:
         if crs is None:
             raise ValueError(
-                "`waypoint_file` must be in east_m, north_m, up_m over a scene without a CRS, got longitudes"
+                "`waypoint_file` must be in east_m, north_m, up_m over a scene without a CRS; got longitudes."
             )
         if len(degrees):
             longitude_deg, latitude_deg, _ = np.median(degrees, axis=0).tolist()
@@ -141,7 +141,7 @@ def read_waypoints(
         x, y = project.transform(degrees[:, 0], degrees[:, 1])
         enu = np.stack([np.subtract(x, origin_m[0]), np.subtract(y, origin_m[1]), degrees[:, 2] - datum], -1)
         if not np.isfinite(enu).all():
-            raise ValueError(f"`waypoint_file` must lie within the reach of {crs}, got places outside it")
+            raise ValueError(f"`waypoint_file` must lie within the reach of {crs}; got places outside it.")
         return enu
 
     try:
@@ -150,10 +150,10 @@ def read_waypoints(
         raise ValueError(plain(error, 500)) from error
     if np.abs(found.place_m).max(initial=0) > _MAX_DISTANCE_M:
         raise ValueError(
-            f"`waypoint_file` must lie within {_MAX_DISTANCE_M:g} m of the scene, got {path.name}"
+            f"`waypoint_file` must lie within {_MAX_DISTANCE_M:g} m of the scene; got {path.name}."
         )
     if found.time_s is not None and np.abs(found.time_s).max(initial=0) > _MAX_TIME_S:
-        raise ValueError(f"`waypoint_file` must have times within ±{_MAX_TIME_S:g} s, got {path.name}")
+        raise ValueError(f"`waypoint_file` must have times within ±{_MAX_TIME_S:g} s; got {path.name}.")
     return found
 
 
@@ -162,11 +162,11 @@ def _read_csv(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
     header = [] if table.empty else list(table.columns)
     places = [names for names in (ENU, GEOGRAPHIC) if set(names) <= set(header)]
     known = {*ENU, *GEOGRAPHIC, *ATTITUDE, "time_s"}
-    stray = [key for key in header if key not in known]
-    if len(places) != 1 or stray:
+    unknown = [key for key in header if key not in known]
+    if len(places) != 1 or unknown:
         raise ValueError(
             f"`waypoint_file` must have the columns {', '.join(ENU)} or {', '.join(GEOGRAPHIC)}, and may "
-            f"have time_s, {', '.join(ATTITUDE)}, got {', '.join(header) or 'none'} in {name}"
+            f"have time_s, {', '.join(ATTITUDE)}; got {', '.join(header) or 'none'} in {name}."
         )
 
     def columns(names) -> Array:
@@ -174,16 +174,18 @@ def _read_csv(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
             values = table[list(names)].map(float).to_numpy()
         except ValueError as error:
             raise ValueError(
-                f"`waypoint_file` must hold numbers under {', '.join(names)}, got {error} in {name}"
+                f"`waypoint_file` must hold numbers under {', '.join(names)}; got {error} in {name}."
             ) from error
         if not np.isfinite(values).all():
-            raise ValueError(f"`waypoint_file` must hold finite numbers under {', '.join(names)}, got {name}")
+            raise ValueError(
+                f"`waypoint_file` must hold finite numbers under {', '.join(names)}; got {name}."
+            )
         return values
 
     place = columns(places[0]) if places[0] is ENU else to_enu(columns(GEOGRAPHIC), datum_m)
     attitude = [key for key in ATTITUDE if key in header]
     if attitude and len(attitude) < len(ATTITUDE):
-        raise ValueError(f"`waypoint_file` must give all of {', '.join(ATTITUDE)} or none, got {attitude}")
+        raise ValueError(f"`waypoint_file` must give all of {', '.join(ATTITUDE)} or none; got {attitude}.")
     time_s = columns(("time_s",))[:, 0] if "time_s" in header else None
     return Waypoints(place, time_s, np.radians(columns(ATTITUDE)) if attitude else None)
 
@@ -193,16 +195,16 @@ def _read_kml(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
     try:
         root = fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as error:
-        raise ValueError(f"`waypoint_file` must be plain KML, got {name}: {error}") from error
+        raise ValueError(f"`waypoint_file` must be plain KML; got {name}: {error}.") from error
     tagged = {_tag(e): e for e in reversed(list(root.iter()))}  # the first of each
     track = tagged.get("Track")
     found = tagged.get("LineString") if track is None else track
     if found is None:
-        raise ValueError(f"`waypoint_file` must hold a LineString or a gx:Track, got neither in {name}")
+        raise ValueError(f"`waypoint_file` must hold a LineString or a gx:Track; got neither in {name}.")
     mode = next((str(e.text).strip() for e in found if _tag(e) == "altitudeMode"), "clampToGround")
     if mode not in ("absolute", "relativeToGround"):
         raise ValueError(
-            f"`waypoint_file` must have altitudeMode absolute or relativeToGround, got {mode} in {name}"
+            f"`waypoint_file` must have altitudeMode absolute or relativeToGround; got {mode} in {name}."
         )
     if track is None:
         texts = str(next((e.text for e in found if _tag(e) == "coordinates"), "") or "").split()
@@ -214,12 +216,12 @@ def _read_kml(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
             when = [datetime.fromisoformat(str(e.text).strip()) for e in track if _tag(e) == "when"]
         except ValueError as error:
             raise ValueError(
-                f"`waypoint_file` must have times as in ISO 8601, got {error} in {name}"
+                f"`waypoint_file` must have times as in ISO 8601; got {error} in {name}."
             ) from error
         if len(when) != len(degrees):
             raise ValueError(
-                f"`waypoint_file` must have a time for each place of its track, got {len(when)} times and "
-                f"{len(degrees)} places in {name}"
+                f"`waypoint_file` must have a time for each place of its track; got {len(when)} times and "
+                f"{len(degrees)} places in {name}."
             )
         seconds = [(t if t.tzinfo else t.replace(tzinfo=UTC)).timestamp() for t in when]
         time_s = start_s + np.array(seconds) - seconds[0] if when else None
@@ -237,6 +239,7 @@ def _triples(texts: list[list[str]], name: str) -> Array:
             raise ValueError("a place without longitude, latitude and altitude")
     except ValueError as error:
         raise ValueError(
-            f"`waypoint_file` must give longitude, latitude and altitude of each place, got {error} in {name}"
+            f"`waypoint_file` must give longitude, latitude and altitude of each place; "
+            f"got {error} in {name}."
         ) from error
     return values

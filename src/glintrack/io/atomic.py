@@ -40,8 +40,8 @@ class ResultFolder:
             number = other.name.removeprefix(start)
             if number.isdecimal() and int(number) != os.getpid() and _is_alive(int(number)):
                 raise ValueError(
-                    f"`output` must not be written by another run, got {self.path}, which process {number} "
-                    "writes (choose another -o, or wait)"
+                    f"`output` must not be written by another run; got {self.path}, which process {number} "
+                    "writes. Choose another -o, or wait."
                 )
             if number.isdecimal():  # of a process that was killed
                 shutil.rmtree(other, ignore_errors=True)
@@ -49,7 +49,7 @@ class ResultFolder:
         try:
             self.partial.mkdir(parents=True)
         except OSError as error:
-            raise ValueError(f"`output` must be writable, got {self.path} ({error.strerror})") from error
+            raise ValueError(f"`output` must be writable; got {self.path}: {error.strerror}.") from error
 
     def publish(self) -> Path:
         """Give the folder its name."""
@@ -79,7 +79,7 @@ def check_new_folder(path: Path) -> None:
     """
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise ValueError(
-            f"`output` must be a new or empty folder, got {path}, which exists (choose another -o)"
+            f"`output` must be a new or empty folder; got {path}, which exists. Choose another -o."
         )
 
 
@@ -93,7 +93,7 @@ def check_new(path: Path, option: str = "output") -> None:
     """
     if path.exists() or path.is_symlink():
         raise ValueError(
-            f"`{option}` must be a new file, got {path}, which exists (choose another, or remove it)"
+            f"`{option}` must be a new file; got {path}, which exists. Choose another, or remove it."
         )
 
 

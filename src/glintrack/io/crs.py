@@ -22,10 +22,10 @@ def metric_crs(crs: Any) -> pyproj.CRS:
         found = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:
         raise ValueError(
-            f"`crs` must be a coordinate reference system such as EPSG:32618, got {crs!r}"
+            f"`crs` must be a coordinate reference system such as EPSG:32618; got {crs!r}."
         ) from error
     if not found.is_projected or any(axis.unit_name != "metre" for axis in found.axis_info[:2]):
-        raise ValueError(f"`crs` must be projected and in metres, as EPSG:32618 is, got {found.name}")
+        raise ValueError(f"`crs` must be projected and in metres, as EPSG:32618 is; got {found.name}.")
     return found
 
 
@@ -41,7 +41,7 @@ def change_crs(source: Any, target: Any) -> pyproj.Transformer:
         return pyproj.Transformer.from_crs(source, target, always_xy=True)
     except pyproj.exceptions.ProjError as error:
         both = f"{plain(source, 60)!r} and {plain(target, 60)!r}"
-        raise ValueError(f"`crs` must be one that PROJ can change into another, got {both}") from error
+        raise ValueError(f"`crs` must be one that PROJ can change into another; got {both}.") from error
 
 
 def longitude_latitude(
@@ -73,8 +73,8 @@ def longitude_latitude(
     if nowhere.any():
         k = np.flatnonzero(nowhere)[0]
         raise ValueError(
-            f"`crs` must be one in which the places lie, got {x[k]:.9g} m east, {y[k]:.9g} m north, which is "
-            f"nowhere in {found.name}{_exchange_question(found, *middle_m)}"
+            f"`crs` must be one in which the places lie; got {x[k]:.9g} m east, {y[k]:.9g} m north, which is "
+            f"nowhere in {found.name}.{_exchange_question(found, *middle_m)}"
         )
     here = longitude[-3:-2].repeat(2), latitude[-3:-2].repeat(2)
     _, _, along_m = pyproj.Geod(ellps="WGS84").inv(here[0], here[1], longitude[-2:], latitude[-2:])
@@ -82,9 +82,9 @@ def longitude_latitude(
     if np.abs(lengths - 1).max() > _MAX_SCALE_ERROR:
         zone = f"{longitude[-3]:.2f}°, {latitude[-3]:.2f}°"
         raise ValueError(
-            f"`crs` must count metres of the ground where the places lie, got {lengths[0]:.3f} m of ground a "
-            f"metre east and {lengths[1]:.3f} m a metre north in {found.name}"
-            + (_exchange_question(found, *middle_m) or f" (take the UTM zone of {zone})")
+            f"`crs` must count metres of the ground where the places lie; got {lengths[0]:.3f} m of ground a "
+            f"metre east and {lengths[1]:.3f} m a metre north in {found.name}."
+            + (_exchange_question(found, *middle_m) or f" Take the UTM zone of {zone}.")
         )
     return longitude[:-3], latitude[:-3]
 
@@ -126,4 +126,4 @@ def _exchange_question(crs: pyproj.CRS, east_m: float, north_m: float) -> str:
     longitude, latitude = change_crs(crs, "EPSG:4326").transform(north_m, east_m)
     if crs.area_of_use is None or not (abs(longitude) <= 180 and _is_on_map(crs, longitude, latitude)):
         return ""
-    return f" (exchanged they lie at {longitude:.2f}°, {latitude:.2f}°: are east and north exchanged?)"
+    return f" Are east and north exchanged? The places would then lie at {longitude:.2f}°, {latitude:.2f}°."

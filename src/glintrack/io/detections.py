@@ -85,29 +85,29 @@ def read_detections(
         In one sentence: the column or row, the requirement, and what was found.
     """
     if not 0 < sigma_m <= MAX_CELL_M:
-        raise ValueError(f"`sigma_m` must be greater than 0 and at most {MAX_CELL_M:g} m, got {sigma_m:g}")
+        raise ValueError(f"`sigma_m` must be greater than 0 and at most {MAX_CELL_M:g} m; got {sigma_m:g}.")
     table = _read_columns(path, "detections", ("time_s", *POSITION))
     time_s, position = _times_and_positions(table, path)
     fall = np.flatnonzero(np.diff(time_s) < 0)
     if fall.size:
         k = int(fall[0])
-        other = "is time_s the column of times? " if len(fall) > _WRONG_COLUMN * len(time_s) else ""
+        other = "Is time_s the column of times? " if len(fall) > _WRONG_COLUMN * len(time_s) else ""
         raise ValueError(
-            f"`time_s` must not go backwards, got {time_s[k + 1]:g} after {time_s[k]:g} in row {k + 3} "
-            f"of {path} ({other}sort the rows by time)"
+            f"`time_s` must not go backwards; got {time_s[k + 1]:g} after {time_s[k]:g} in row {k + 3} "
+            f"of {path}. {other}Sort the rows by time."
         )
     if len(position) > 1:
         extent_m, middle = np.ptp(position, axis=0).max(), np.abs(position.mean(axis=0))
         if extent_m < 1.0 and middle.min() > 1.0 and middle[0] <= 180 and middle[1] <= 90:
             raise ValueError(
-                f"`east_m` and `north_m` must be metres, got numbers that look like degrees in {path}: all "
-                f"within {extent_m:.2g} m of each other (project them first)"
+                f"`east_m` and `north_m` must be metres; got numbers that look like degrees in {path}: all "
+                f"within {extent_m:.2g} m of each other. Project them first."
             )
     others = [c for c in table.columns if c not in ("time_s", *POSITION, *COVARIANCE, *NO_FEATURE)]
     names = tuple(others) if feature_names is None else feature_names
     if missing := [n for n in names if n not in table.columns]:
         known = _shorten(", ".join(map(str, table.columns)))
-        raise ValueError(f"`features` must name columns of {path}, got {missing[0]!r} (it has {known})")
+        raise ValueError(f"`features` must name columns of {path}; got {missing[0]!r}. It has {known}.")
     features = _numbers(table, path, names)
     features[~np.isfinite(features)] = np.nan
     return DetectionTable(time_s, position, _covariance(table, path, sigma_m), features, names)
@@ -129,12 +129,12 @@ def read_truth(path: Path) -> xr.Dataset:
         visible = _finite_numbers(table, path, ("visible_fraction",))[:, 0]
         if visible.size and (visible.min() < 0 or visible.max() > 1):
             span = f"{visible.min():g} to {visible.max():g}"
-            raise ValueError(f"`visible_fraction` must lie within 0 to 1, got {span} in {path}")
+            raise ValueError(f"`visible_fraction` must lie within 0 to 1; got {span} in {path}.")
         rows = rows.assign(visible_fraction=("row", visible))
     if "inside" in table:
         inside = _finite_numbers(table, path, ("inside",))[:, 0]
         if not np.isin(inside, (0, 1)).all():
-            raise ValueError(f"`inside` must hold 0 or 1, got others in {path}")
+            raise ValueError(f"`inside` must hold 0 or 1; got others in {path}.")
         rows = rows.assign(inside=("row", inside > 0))
     return rows
 
@@ -147,14 +147,14 @@ def _read_rows(path: Path, name: str, id_column: str) -> tuple[xr.Dataset, pd.Da
     wrong = (ids != np.rint(ids)) | (ids < 0) | (ids >= 2**53)
     if wrong.any():
         raise ValueError(
-            f"`{id_column}` must hold whole numbers from 0 to 2⁵³, got {ids[wrong][0]:g} in {path}"
+            f"`{id_column}` must hold whole numbers from 0 to 2⁵³; got {ids[wrong][0]:g} in {path}."
         )
     repeated = np.flatnonzero(pd.DataFrame({"time": time_s, "id": ids}).duplicated())
     if repeated.size:
         k = int(repeated[0])
         raise ValueError(
-            f"`{id_column}` must appear once an epoch, got {ids[k]:g} again at {time_s[k]:g} s "
-            f"in row {k + 2} of {path}"
+            f"`{id_column}` must appear once in each frame; got {ids[k]:g} again at {time_s[k]:g} s "
+            f"in row {k + 2} of {path}."
         )
     speeds = ("east_speed_m_s", "north_speed_m_s")
     if all(c in table for c in speeds):
@@ -169,8 +169,8 @@ def _read_rows(path: Path, name: str, id_column: str) -> tuple[xr.Dataset, pd.Da
     fast = ~(np.abs(velocity) <= MAX_SPEED_M_S).all(axis=1)
     if fast.any():
         raise ValueError(
-            f"`{id_column}` must move by at most {MAX_SPEED_M_S:g} m/s, got {ids[fast][0]:g} faster at "
-            f"{time_s[fast][0]:g} s in {path}"
+            f"`{id_column}` must move by at most {MAX_SPEED_M_S:g} m/s; got {ids[fast][0]:g} faster at "
+            f"{time_s[fast][0]:g} s in {path}."
         )
     columns = {"time_s": time_s, id_column: ids.astype(np.int64)}
     columns |= dict(
@@ -196,8 +196,8 @@ def _read_columns(path: Path, name: str, required: tuple[str, ...]) -> pd.DataFr
     if missing := [c for c in required if c not in table.columns]:
         present = [str(c) for c in table.columns]
         raise ValueError(
-            f"`{name}` must have the columns {', '.join(required)}, got no {', '.join(missing)} in {path} "
-            f"(it has {_shorten(', '.join(present))}{_column_remedy(missing, present)})"
+            f"`{name}` must have the columns {', '.join(required)}; got no {', '.join(missing)} in {path}. "
+            f"It has {_shorten(', '.join(present))}.{_column_remedy(missing, present)}"
         )
     return table
 
@@ -205,17 +205,17 @@ def _read_columns(path: Path, name: str, required: tuple[str, ...]) -> pd.DataFr
 def _column_remedy(missing: Sequence[str], present: Sequence[str]) -> str:
     """Remedy for columns of other names, other separators, or degrees; may be empty."""
     if len(present) == 1 and any(sign in present[0] for sign in ";\t|"):
-        return "; separate the columns by commas"
+        return " Separate the columns by commas."
     ids = {"track_id", "vehicle_id"}
     if len(ids & {*missing}) == len(ids & {*present}) == 1:
-        return "; are tracks and truth exchanged? The tracks come first"
+        return " Are tracks and truth exchanged? The tracks come first."
     lower = {name.strip().lower(): name for name in present}
     if any(name.startswith(("lon", "lat")) for name in lower):
-        return "; project them into metres first"
+        return " Project them into metres first."
     known = {
         want: lower[own] for want in missing for own in (*_OTHER_NAMES.get(want, ()), want) if own in lower
     }
-    return f"; rename {', '.join(f'{own} to {want}' for want, own in known.items())}" if known else ""
+    return f" Rename {', '.join(f'{own} to {want}' for want, own in known.items())}." if known else ""
 
 
 def _shorten(text: str) -> str:
@@ -228,12 +228,12 @@ def _times_and_positions(
     position = _finite_numbers(table, path, POSITION)
     time_s = _finite_numbers(table, path, ("time_s",))[:, 0]
     if np.abs(time_s).max(initial=0) > MAX_TIME_S:
-        raise ValueError(f"`time_s` must be seconds within ±{MAX_TIME_S:g}, got others in {path}")
+        raise ValueError(f"`time_s` must be seconds within ±{MAX_TIME_S:g}; got others in {path}.")
     far = np.flatnonzero(np.abs(position).max(axis=1, initial=0) > MAX_COORDINATE_M)
     if far.size:
         raise ValueError(
-            f"`east_m` and `north_m` must be metres within ±{MAX_COORDINATE_M:g}, got "
-            f"{position[far[0]].tolist()} in row {int(far[0]) + 2} of {path}"
+            f"`east_m` and `north_m` must be metres within ±{MAX_COORDINATE_M:g}; got "
+            f"{position[far[0]].tolist()} in row {int(far[0]) + 2} of {path}."
         )
     return time_s, position
 
@@ -244,12 +244,12 @@ def _numbers(table: pd.DataFrame, path: Path, columns: tuple[str, ...]) -> Float
         try:
             numbers = np.asarray(pd.to_numeric(table[column], errors="coerce"), dtype=float)
         except (OverflowError, TypeError) as error:
-            raise ValueError(f"`{column}` must hold numbers that fit, got {error} in {path}") from error
+            raise ValueError(f"`{column}` must hold numbers that fit; got {error} in {path}.") from error
         words = np.flatnonzero(np.isnan(numbers) & table[column].notna().to_numpy())
         if words.size:
             row = int(words[0])
             found, remedy = _shorten(repr(cell := table[column].iloc[row])), decimal_comma_hint(cell)
-            raise ValueError(f"`{column}` must hold numbers, got {found} in row {row + 2} of {path}{remedy}")
+            raise ValueError(f"`{column}` must hold numbers; got {found} in row {row + 2} of {path}.{remedy}")
         out[:, k] = numbers
     return out
 
@@ -258,8 +258,8 @@ def _finite_numbers(table: pd.DataFrame, path: Path, columns: tuple[str, ...]) -
     out = _numbers(table, path, columns)
     for row, column in np.argwhere(~np.isfinite(out))[:1]:
         raise ValueError(
-            f"`{columns[column]}` must be finite, got {out[row, column]:g} in row {row + 2} of {path} "
-            f"(leave the row out)"
+            f"`{columns[column]}` must be finite; got {out[row, column]:g} in row {row + 2} of {path}. "
+            f"Leave the row out."
         )
     return out
 
@@ -272,14 +272,14 @@ def _covariance(table: pd.DataFrame, path: Path, sigma_m: float) -> Float[Array,
         return out
     if missing := [c for c in COVARIANCE[:2] if c not in present]:
         both = " and ".join(COVARIANCE[:2])
-        raise ValueError(f"`{present[0]}` must come with {both}, got no {missing[0]} in {path}")
+        raise ValueError(f"`{present[0]}` must come with {both}; got no {missing[0]} in {path}.")
     out[:, 0, 0], out[:, 1, 1] = _finite_numbers(table, path, COVARIANCE[:2]).T
     if COVARIANCE[2] in present:
         out[:, 0, 1] = out[:, 1, 0] = _finite_numbers(table, path, COVARIANCE[2:])[:, 0]
     bad = np.flatnonzero(~((out[:, 0, 0] > 0) & (np.linalg.det(out) > 0))) if len(out) else np.empty(0, int)
     if bad.size:
         raise ValueError(
-            f"`east_var_m2`, `north_var_m2` and `east_north_cov_m2` must form a positive covariance, got "
-            f"{out[bad[0], [0, 1, 0], [0, 1, 1]].tolist()} in row {int(bad[0]) + 2} of {path}"
+            f"`east_var_m2`, `north_var_m2` and `east_north_cov_m2` must form a positive covariance; got "
+            f"{out[bad[0], [0, 1, 0], [0, 1, 1]].tolist()} in row {int(bad[0]) + 2} of {path}."
         )
     return out

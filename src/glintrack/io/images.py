@@ -105,7 +105,7 @@ def write_bands(
     """
     ending = path.suffix.lower()
     if ending not in (".tif", ".tiff", ".nc"):
-        raise ValueError(f"`output` must end in .tif or .nc, got {path.name!r}")
+        raise ValueError(f"`output` must end in .tif or .nc; got {path.name!r}.")
     if ending == ".nc":
         mapping = pyproj.CRS.from_user_input(crs)
         unit = "degree" if mapping.is_geographic else "m"

@@ -29,11 +29,11 @@ def read_dataset(path: Path, name: str) -> xr.Dataset:
         with xr.open_dataset(path, engine="h5netcdf") as file:
             dataset = file.load()
     except Exception as error:  # whatever attributes make the decoders raise
-        raise ValueError(f"`{name}` must be a readable NetCDF-4 file, got {path}: {error}") from error
+        raise ValueError(f"`{name}` must be a readable NetCDF-4 file; got {path}: {error}.") from error
     for variable, values in dataset.variables.items():
         if values.dtype.kind in "fc" and np.isinf(values.values).any():
             raise ValueError(
-                f"`{name}` must hold finite numbers, got an infinite one in `{variable}` of {path}"
+                f"`{name}` must hold finite numbers; got an infinite one in `{variable}` of {path}."
             )
     return dataset
 

@@ -87,12 +87,12 @@ def open_frames(
         In one sentence: the requirement and what was found.
     """
     if rate_hz is not None and not _MIN_HZ <= rate_hz <= _MAX_HZ:
-        raise ValueError(f"`rate` must be {_MIN_HZ:g} to {_MAX_HZ:g} Hz, got {rate_hz:g}")
+        raise ValueError(f"`rate` must be {_MIN_HZ:g} to {_MAX_HZ:g} Hz; got {rate_hz:g}.")
     if geotransform is not None:
         _check_grid(geotransform, "`geotransform`")
     suffix = path.suffix.lower()
     if not path.exists():
-        raise ValueError(f"`frames` must be a folder or file that exists, got {path}")
+        raise ValueError(f"`frames` must be a folder or file that exists; got {path}.")
     if suffix in STACKS:
         return _stack(path, rate_hz, geotransform)
     if path.is_dir():
@@ -100,7 +100,7 @@ def open_frames(
     if suffix in VIDEOS:
         return _video(path, rate_hz, geotransform)
     known = " ".join((*STACKS, *VIDEOS))
-    raise ValueError(f"`frames` must be a folder of rasters, a stack or a video ({known}), got {path}")
+    raise ValueError(f"`frames` must be a folder of rasters, a stack or a video ({known}); got {path}.")
 
 
 def _check_grid(grid: Geotransform, what: str) -> None:
@@ -109,7 +109,7 @@ def _check_grid(grid: Geotransform, what: str) -> None:
     if not (is_near and _MIN_CELL_M <= grid.gsd_m <= MAX_CELL_M):
         raise ValueError(
             f"{what} must have edges within ±{MAX_COORDINATE_M:g} m and pixels of {_MIN_CELL_M:g} to "
-            f"{MAX_CELL_M:g} m, got {grid.west_m:g} {grid.north_m:g} {grid.gsd_m:g}"
+            f"{MAX_CELL_M:g} m; got {grid.west_m:g} {grid.north_m:g} {grid.gsd_m:g}."
         )
 
 
@@ -118,12 +118,12 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
     files = sorted(next((one for one in kinds if one), []), key=_natural_order)
     if not files:
         known = " ".join(suffix for kind in RASTERS for suffix in kind)
-        raise ValueError(f"`frames` must be a folder with rasters ({known}), got none in {folder}")
+        raise ValueError(f"`frames` must be a folder with rasters ({known}); got none in {folder}.")
     channels = sorted({file.name.split("_")[0] for file in files} & set(_CHANNELS))
     if len(channels) > 1:
         raise ValueError(
-            f"`frames` must be of one channel, got {', '.join(channels)} in {folder} (copy those of one "
-            "channel into a folder)"
+            f"`frames` must be of one channel; got {', '.join(channels)} in {folder}. Copy those of one "
+            "channel into a folder."
         )
     crs, (_, ground), bands = _raster(files[0], geotransform)
     shape = next(iter(bands.values())).shape
@@ -135,7 +135,7 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
             own, (tag, grid), bands = _raster(file, geotransform)
             _check_same_ground(file, (own, grid, next(iter(bands.values())).shape), (crs, ground, shape))
             if tag is None and rate_hz is None:
-                raise ValueError(f"`frames` must have a tag time_s or need --rate, got neither in {file}")
+                raise ValueError(f"`frames` must have a tag time_s or need --rate; got neither in {file}.")
             yield (k / rate_hz if rate_hz is not None else float(tag or 0.0)), image_of(bands, grid)
 
     return FrameSource(len(files), crs, dolp, frames())
@@ -164,8 +164,8 @@ def _check_same_ground(path: Path, mine: tuple, first: tuple) -> None:
             for of, place, size in (mine, first)
         ]
         raise ValueError(
-            f"`frames` must all have the first one's CRS, place and size, {texts[1]}, "
-            f"got {texts[0]} in {path}"
+            f"`frames` must all have the first one's CRS, place and size, {texts[1]}; "
+            f"got {texts[0]} in {path}."
         )
 
 
@@ -180,19 +180,19 @@ def _raster(path: Path, geotransform: Geotransform | None):
             names = [file.descriptions[k] or f"band {k + 1}" for k in seen]
             values = file.read([k + 1 for k in seen], masked=True).astype(np.float32).filled(np.nan)
     except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
-        raise ValueError(f"`frames` must be readable rasters, got {path}: {error}") from error
+        raise ValueError(f"`frames` must be readable rasters; got {path}: {error}.") from error
     if geotransform is not None and not t.is_identity:
         warnings.warn("--geotransform replaces the position in the files", stacklevel=2)
     if geotransform is None:
         if t.is_identity:
             raise ValueError(
-                f"`frames` must have a geotransform or a world file, got none in {path} (give --geotransform "
-                f"WEST NORTH GSD: 0 0 1 if a pixel is 1 m and the place does not matter)"
+                f"`frames` must have a geotransform or a world file; got none in {path}. Give --geotransform "
+                f"WEST NORTH GSD: 0 0 1 if a pixel is 1 m and the place does not matter."
             )
         if t.b or t.d or t.a <= 0 or t.e >= 0 or not math.isclose(t.a, -t.e, rel_tol=SQUARE):
             raise ValueError(
-                f"`frames` must be north-up with square pixels, got the transform {tuple(t)[:6]} in {path} "
-                f"(rectify them first, see glintrack ortho)"
+                f"`frames` must be north-up with square pixels; got the transform {tuple(t)[:6]} in {path}. "
+                f"Rectify them first, see glintrack ortho."
             )
         geotransform = Geotransform(t.c, t.f, t.a)
         _check_grid(geotransform, f"`frames` ({path.name})")
@@ -201,7 +201,7 @@ def _raster(path: Path, geotransform: Geotransform | None):
         if time_s is not None and not math.isfinite(time_s):
             raise ValueError(tag)
     except ValueError as error:
-        raise ValueError(f"`time_s` must be a number of seconds, got {tag!r} in {path}") from error
+        raise ValueError(f"`time_s` must be a number of seconds; got {tag!r} in {path}.") from error
     if crs is not None:
         metric_crs(crs.to_wkt())
     return (crs.to_string() if crs else None), (time_s, geotransform), dict(zip(names, values, strict=True))
@@ -214,17 +214,17 @@ def _stack(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
     try:
         stack = xr.open_zarr(path) if zarr else xr.open_dataset(path, engine="h5netcdf")
     except Exception as error:  # whatever a damaged file makes the decoders say
-        raise ValueError(f"`frames` must be a readable NetCDF-4 or Zarr stack, got {path}") from error
+        raise ValueError(f"`frames` must be a readable NetCDF-4 or Zarr stack; got {path}.") from error
     names = [str(n) for n, v in stack.data_vars.items() if v.dims[-3:] == ("time", "y", "x")]
     name = "pan" if "pan" in names else names[0] if len(names) == 1 else ""
     if not name:
         raise ValueError(
-            f"`frames` must hold one variable over time, y, x, or one called pan, got {names or 'none'} "
-            f"in {path}"
+            f"`frames` must hold one variable over time, y, x, or one called pan; got {names or 'none'} "
+            f"in {path}."
         )
     grid = geotransform or _grid_of(stack, path)
     if rate_hz is None and "time" not in stack.coords:
-        raise ValueError(f"`frames` must have a coordinate time or come with --rate, got neither in {path}")
+        raise ValueError(f"`frames` must have a coordinate time or come with --rate; got neither in {path}.")
     count = stack.sizes["time"]
     if rate_hz is not None:
         times = np.arange(count) / rate_hz
@@ -233,7 +233,7 @@ def _stack(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
     else:
         times = times.astype(float)
     if not np.isfinite(times).all():
-        raise ValueError(f"`time` must be finite at every frame, got others in {path}")
+        raise ValueError(f"`time` must be finite at every frame; got others in {path}.")
     crs = stack.attrs.get("crs", stack[name].attrs.get("crs"))
     crs = None if crs is None else str(crs)
     _check_place(crs, grid)
@@ -250,23 +250,23 @@ def _stack(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
 def _grid_of(stack: xr.Dataset, path: Path) -> Geotransform:
     if not {"x", "y"} <= set(stack.coords):
         raise ValueError(
-            f"`frames` must have coordinates x and y in metres, got none in {path} "
-            f"(give --geotransform WEST NORTH GSD)"
+            f"`frames` must have coordinates x and y in metres; got none in {path}. "
+            f"Give --geotransform WEST NORTH GSD."
         )
     x, y = stack["x"].values.astype(float), stack["y"].values.astype(float)
     if len(x) < 2 or len(y) < 2:
-        raise ValueError(f"`frames` must have at least 2 × 2 pixels, got {len(y)} × {len(x)} in {path}")
+        raise ValueError(f"`frames` must have at least 2 × 2 pixels; got {len(y)} × {len(x)} in {path}.")
     gsd = float(x[1] - x[0])
     even = np.allclose(np.diff(x), gsd, rtol=SQUARE) and np.allclose(np.diff(y), -gsd, rtol=SQUARE)
     if not (gsd > 0 and even):
-        raise ValueError(f"`frames` must have x rising and y falling in equal steps, got others in {path}")
+        raise ValueError(f"`frames` must have x rising and y falling in equal steps; got others in {path}.")
     return Geotransform(float(x[0]) - gsd / 2, float(y[0]) + gsd / 2, gsd)
 
 
 def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
     if geotransform is None:
         raise ValueError(
-            f"`frames` must have a geotransform, got the video {path} (give --geotransform WEST NORTH GSD)"
+            f"`frames` must have a geotransform; got the video {path}. Give --geotransform WEST NORTH GSD."
         )
     imageio_ffmpeg = require_extra("imageio_ffmpeg", "video", "read a video")
     # in the format of its ending and from this file alone: a playlist could refer to other files
@@ -275,7 +275,7 @@ def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
     try:
         about = next(reader)
     except (OSError, RuntimeError, StopIteration) as error:
-        raise ValueError(f"`frames` must be a video that ffmpeg can read, got {path}") from error
+        raise ValueError(f"`frames` must be a video that ffmpeg can read; got {path}.") from error
     width, height = about["size"]
     rate = rate_hz or float(about["fps"])
     grid = geotransform

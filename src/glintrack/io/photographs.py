@@ -35,7 +35,7 @@ _ANGLES = (("heading_deg", "roll_deg", "pitch_deg"), ("omega_deg", "phi_deg", "k
 _POSITIONS = (("easting_m", "northing_m"), ("longitude_deg", "latitude_deg"))
 _ORIGIN_STEP_M = 1000.0
 _MAX_AFFINITY = 0.1  # of b1 and b2; sensors have less than 0.001
-_MIN_PITCH_UM = 0.1  # no detector has smaller pixels
+_MIN_PITCH_UM = 0.1  # no detector array has smaller pixels
 _MAX_FIELD_DEG = 160.0  # of a frame camera across its longer side; wider ones are no pinholes
 _MAX_HEIGHTS = 400e6
 _COLOURS: tuple[ColorInterp, ...] = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
@@ -62,27 +62,27 @@ class CameraFile(Design):
     def _check_geometry(self) -> Self:
         if self.pitch_um < _MIN_PITCH_UM:
             raise ValueError(
-                f"`pitch_um` must be at least {_MIN_PITCH_UM:g} µm, got {self.pitch_um:g} µm (in mm?)"
+                f"`pitch_um` must be at least {_MIN_PITCH_UM:g} µm; got {self.pitch_um:g} µm. Is it in mm?"
             )
         for name, count in (("row", self.rows), ("column", self.columns)):
             at = getattr(self, f"principal_{name}")
             if at is not None and not -0.5 <= at <= count - 0.5:
                 raise ValueError(
-                    f"`principal_{name}` must lie in the image, 0 to {count - 1}, got {at:g} (add an offset "
-                    f"from the middle to {(count - 1) / 2:g})"
+                    f"`principal_{name}` must lie in the image, 0 to {count - 1}; got {at:g}. If it is an "
+                    f"offset from the middle, add {(count - 1) / 2:g}."
                 )
         for name in ("b1", "b2"):
             if abs(value := getattr(self.distortion, name)) > _MAX_AFFINITY:
                 raise ValueError(
-                    f"`distortion.{name}` must lie within ±{_MAX_AFFINITY:g}, got {value:g} (in pixels? "
-                    "divide it by the principal distance in pixels)"
+                    f"`distortion.{name}` must lie within ±{_MAX_AFFINITY:g}; got {value:g}. If it is in "
+                    "pixels, divide it by the principal distance in pixels."
                 )
         longer_mm = max(self.rows, self.columns) * self.pitch_um * 1e-3
         field_deg = 2 * math.degrees(math.atan(longer_mm / (2 * self.focal_length_mm)))
         if field_deg > _MAX_FIELD_DEG:
             raise ValueError(
-                f"`focal_length_mm` must see at most {_MAX_FIELD_DEG:g}° with {longer_mm:.3g} mm of pixels, "
-                f"got {self.focal_length_mm:g} mm, which sees {field_deg:.1f}° (are they in mm and µm?)"
+                f"`focal_length_mm` must see at most {_MAX_FIELD_DEG:g}° with {longer_mm:.3g} mm of pixels; "
+                f"got {self.focal_length_mm:g} mm, which sees {field_deg:.1f}°. Are they in mm and µm?"
             )
         return self
 
@@ -126,7 +126,7 @@ class PoseFile(Design):
             given = tuple(name for names in choices for name in names if getattr(self, name) is not None)
             if given not in choices:
                 known = " or as ".join(", ".join(names) for names in choices)
-                raise ValueError(f"`pose` must give its {what} as {known}, got {', '.join(given) or 'none'}")
+                raise ValueError(f"`pose` must give its {what} as {known}; got {', '.join(given) or 'none'}.")
         if self.omega_deg is not None and (self.north == "true" or self.gimbal_depression_deg != 90):
             raise ValueError("`pose` must count omega, phi, kappa from grid north and without a gimbal")
         return self
@@ -230,7 +230,7 @@ def read_pose(path: Path, frame_name: str) -> PlacedPose:
         check_not_exchanged(crs, file.longitude_deg or 0.0, file.latitude_deg or 0.0, "pose")
         x, y = to_crs.transform(file.longitude_deg, file.latitude_deg)
     if not (math.isfinite(x) and math.isfinite(y)):
-        raise ValueError(f"`pose` must lie within {crs.name}, got {file.longitude_deg}, {file.latitude_deg}")
+        raise ValueError(f"`pose` must lie within {crs.name}; got {file.longitude_deg}, {file.latitude_deg}.")
     warn_off_map(crs, x, y)  # refuses positions outside every map
     origin = (_ORIGIN_STEP_M * round(x / _ORIGIN_STEP_M), _ORIGIN_STEP_M * round(y / _ORIGIN_STEP_M))
     place = (x - origin[0], y - origin[1], file.height_m)
@@ -247,14 +247,14 @@ def read_pose(path: Path, frame_name: str) -> PlacedPose:
     return PlacedPose(pose, crs.to_wkt(), origin)
 
 
-def _check_kind(wanted: str, table: Mapping[str, Any], path: Path) -> None:
+def _check_kind(expected: str, table: Mapping[str, Any], path: Path) -> None:
     """Refuse a file of the other kind, by its keys."""
     kinds: dict[str, type[Design]] = {"camera": CameraFile, "pose": PoseFile}
-    own, (other, its) = kinds.pop(wanted), kinds.popitem()
+    own, (other, its) = kinds.pop(expected), kinds.popitem()
     if set(table) & set(its.model_fields) and not set(table) & set(own.model_fields):
         raise ValueError(
-            f"`{wanted}` must be a {wanted} file, got a {other} file, {path.name} "
-            "(are the camera and the pose exchanged?)"
+            f"`{expected}` must be a {expected} file; got a {other} file, {path.name}. "
+            "Are the camera and the pose exchanged?"
         )
 
 
@@ -262,10 +262,10 @@ def _read_row(path: Path, frame_name: str) -> dict[str, str | float]:
     """Values of a frame's row in a CSV file of poses; numbers where the key is a number."""
     table = read_csv(path, "pose", types=str)
     if "name" not in table:
-        raise ValueError(f"`pose` must have a header with a column `name`, got none in {path.name}")
+        raise ValueError(f"`pose` must have a header with a column `name`; got none in {path.name}.")
     mine = table[table["name"].isin((frame_name, Path(frame_name).stem))]
     if len(mine) != 1:
-        raise ValueError(f"`pose` must have one row named {frame_name}, got {len(mine)} in {path.name}")
+        raise ValueError(f"`pose` must have one row named {frame_name}; got {len(mine)} in {path.name}.")
     cells = {str(key): str(value).strip() for key, value in mine.iloc[0].items()}
     values: dict[str, str | float] = {key: cell for key, cell in cells.items() if key != "name" and cell}
     for key in values:
@@ -323,7 +323,7 @@ def read_height_range(path: Path, option: str) -> tuple[float, float]:
     values = values[np.isfinite(values)]
     check_heights(values, option, path.name)
     if values.size == 0:
-        raise ValueError(f"`{option}` must hold heights, got none in {path.name}")
+        raise ValueError(f"`{option}` must hold heights; got none in {path.name}.")
     return float(values.min()), float(values.max())
 
 
@@ -351,19 +351,19 @@ def read_heights(
         places = places[:, np.isfinite(places).all(axis=0)]
         if places.size == 0:
             raise ValueError(
-                f"`{option}` must reach the frame's ground, got a CRS that does not: {path.name}"
+                f"`{option}` must reach the frame's ground; got {path.name}, whose CRS does not reach it."
             )
         pixel = np.stack(transform_points(~file.transform, *places))
         low, high = np.floor(pixel.min(axis=1)) - 3, np.ceil(pixel.max(axis=1)) + 3
         low, high = np.maximum(low, 0), np.minimum(high, (file.width, file.height))
         if not (high - low >= 1).all():  # also if they are NaN
             raise NotReachedError(
-                f"`{option}` must reach the frame's ground, got {path.name} over "
-                f"{', '.join(f'{v:.6g}' for v in file.bounds)} in {file.crs}"
+                f"`{option}` must reach the frame's ground; got {path.name} over "
+                f"{', '.join(f'{v:.6g}' for v in file.bounds)} in {file.crs}."
             )
         if np.prod(high - low) > _MAX_HEIGHTS:
             raise ValueError(
-                f"`{option}` must be coarser, or `area` smaller, got {np.prod(high - low):.3g} heights"
+                f"`{option}` must be coarser, or `area` smaller; got {np.prod(high - low):.3g} heights."
             )
         window = Window(*low, *(high - low))  # pyright: ignore[reportCallIssue]
         values = file.read(1, window=window, masked=True).astype(float).filled(np.nan)
@@ -398,12 +398,14 @@ def _open_raster(path: Path, name: str, requirement: str = "a raster") -> Iterat
         try:
             yield file
         except rasterio.errors.RasterioError as error:
-            raise ValueError(f"`{name}` must be a whole raster, got {path}") from error
+            raise ValueError(f"`{name}` must be a whole raster; got {path}.") from error
 
 
 @contextmanager
 def _open_heights(path: Path, option: str) -> Iterator[rasterio.DatasetReader]:
     with _open_raster(path, option) as file:
         if file.crs is None:
-            raise ValueError(f"`{option}` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)")
+            raise ValueError(
+                f"`{option}` must have a CRS; got none in {path.name}. Set it: gdal_edit.py -a_srs …"
+            )
         yield file

@@ -312,7 +312,7 @@ def raster_writer(path: Path, layout: RasterLayout) -> Iterator[Write]:
                 writer = _WRITERS.get(path.suffix.lower(), _GeotiffWriter)(partials[0], layout)
             except OSError as error:
                 why = error.strerror or error
-                raise ValueError(f"`output` must be writable, got {path} ({why})") from error
+                raise ValueError(f"`output` must be writable; got {path}: {why}.") from error
         write = writer.write
         with _gdal_errors(path):
             yield lambda row, channel, values: write(row, channel, np.moveaxis(values, (3, 2), (0, 1)))
@@ -349,16 +349,16 @@ def output_files(path: Path) -> list[Path]:
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise ValueError(f"`output` must end in one of {', '.join(SUFFIXES)}, got {path.name!r}")
+        raise ValueError(f"`output` must end in one of {', '.join(SUFFIXES)}; got {path.name!r}.")
     check_place(path)
     if suffix == ".zarr" and path.exists():
-        raise ValueError(f"`output` must be a new folder, got {path}, which exists (choose another -o)")
+        raise ValueError(f"`output` must be a new folder; got {path}, which exists. Choose another -o.")
     return [path.with_suffix(".img"), path] if suffix == ".hdr" else [path]
 
 
 def check_place(path: Path) -> None:
     """Refuse, before any work is done, a file that could not be written."""
     if not path.parent.is_dir():
-        raise ValueError(f"`output` must lie in an existing folder, got {path}")
+        raise ValueError(f"`output` must lie in an existing folder; got {path}.")
     if not os.access(path.parent, os.W_OK) or (path.is_dir() and path.suffix.lower() != ".zarr"):
-        raise ValueError(f"`output` must be writable, got {path}")
+        raise ValueError(f"`output` must be writable; got {path}.")

@@ -30,11 +30,11 @@ def raw_files(sources: list[Path]) -> list[Path]:
         if source.is_dir():
             inside = sorted(p for p in source.iterdir() if p.suffix.lower() in RAW_SUFFIXES)
         if not inside:
-            raise ValueError(f"`RAW` must hold raws ({' '.join(RAW_SUFFIXES)}), got none in {source}")
+            raise ValueError(f"`RAW` must hold raws ({' '.join(RAW_SUFFIXES)}); got none in {source}.")
         found += inside
     repeated = sorted(stem for stem, count in Counter(path.stem for path in found).items() if count > 1)
     if repeated:
-        raise ValueError(f"`RAW` must have names that differ before the ending, got {repeated[0]} twice")
+        raise ValueError(f"`RAW` must have names that differ before the ending; got {repeated[0]} twice.")
     return found
 
 
@@ -55,18 +55,18 @@ def read_raw(path: str | Path) -> UInt[Array, "row column"]:
     path = Path(path)
     counts = _read_npy(path) if path.suffix.lower() == ".npy" else _read_raster(path)
     if counts.size == 0:
-        raise ValueError(f"`RAW` must hold elements, got {counts.shape[0]} × {counts.shape[1]} in {path}")
+        raise ValueError(f"`RAW` must hold elements; got {counts.shape[0]} × {counts.shape[1]} in {path}.")
     return counts
 
 
 def _check_type(path: Path, dtype: np.dtype, bands: int) -> None:
     if bands != 1:
         raise ValueError(
-            f"`RAW` must be one mosaic, rows × columns, got {bands} bands in {path} (one band as the camera "
-            "reads it, before any demosaicking)"
+            f"`RAW` must be one mosaic, rows × columns; got {bands} bands in {path}. Give one band as the "
+            "camera reads it, before any demosaicking."
         )
     if dtype not in (np.uint8, np.uint16):
-        raise ValueError(f"`RAW` must hold counts of 8 or 16 bits without sign, got {dtype} in {path}")
+        raise ValueError(f"`RAW` must hold counts of 8 or 16 bits without sign; got {dtype} in {path}.")
 
 
 def _read_raster(path: Path) -> Array:
@@ -77,7 +77,7 @@ def _read_raster(path: Path) -> Array:
                 _check_type(path, np.dtype(file.dtypes[0]), file.count)
                 return file.read(1)
     except rasterio.errors.RasterioError as error:
-        raise ValueError(f"`RAW` must be a whole raw mosaic, got {path}") from error
+        raise ValueError(f"`RAW` must be a whole raw mosaic; got {path}.") from error
 
 
 def _read_npy(path: Path) -> Array:
@@ -87,11 +87,11 @@ def _read_npy(path: Path) -> Array:
         mapped = np.load(path, mmap_mode="r", allow_pickle=False, max_header_size=_MAX_HEADER_BYTES)
     except Exception as error:  # whatever a damaged header makes the parser raise
         raise ValueError(
-            f"`RAW` must be a whole NumPy file, got {path} with another header or size"
+            f"`RAW` must be a whole NumPy file; got {path} with another header or size."
         ) from error
     if not isinstance(mapped, np.ndarray) or mapped.ndim != 2:
         shape = getattr(mapped, "shape", "no array")
-        raise ValueError(f"`RAW` must be one mosaic, rows × columns, got {shape} in {path}")
+        raise ValueError(f"`RAW` must be one mosaic, rows × columns; got {shape} in {path}.")
     dtype = mapped.dtype.newbyteorder("=")
     _check_type(path, dtype, 1)
     return np.array(mapped, dtype, order="C")

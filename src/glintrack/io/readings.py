@@ -73,7 +73,7 @@ def report_reading(
     if found != known:
         raise ValueError(
             f"`{Path(path).name}` must be read whole; got {used:,} of its {found:,} {content}, "
-            f"and {known - used:,} left out for a known reason (convert the file to another format)"
+            f"and {known - used:,} left out for a known reason. Convert the file to another format."
         )
     readings = _readings.get()
     reading = Reading(Path(path).name, content, found, used, reasons, tuple(notes))

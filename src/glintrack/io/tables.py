@@ -79,18 +79,18 @@ def read_csv(
                 encoding="utf-8-sig",
             )
     except pd.errors.EmptyDataError as error:
-        raise ValueError(f"`{name}` must have a header row, got the empty file {path}") from error
+        raise ValueError(f"`{name}` must have a header row; got the empty file {path}.") from error
     except (OSError, EOFError) as error:
         raise ValueError(
-            f"`{name}` must be a readable CSV file, got {path} ({getattr(error, 'strerror', None) or error})"
+            f"`{name}` must be a readable CSV file; got {path}: {getattr(error, 'strerror', None) or error}."
         ) from error
     except (ValueError, TypeError, OverflowError, csv.Error, pd.errors.ParserWarning) as error:
-        reason = plain(str(error).strip().splitlines()[-1], 200)
+        reason = plain(str(error).strip().splitlines()[-1], 200).rstrip(".")
         if separator == "," and b";" in header:
-            reason = "its columns are separated by semicolons (use commas, and points in numbers)"
+            reason = "its columns are separated by semicolons. Use commas, and points in numbers"
         elif "saw" in reason or "not match length of data" in reason:
-            reason += " (a row has more cells than the header: write numbers with points, not commas)"
-        raise ValueError(f"`{name}` must be a CSV file in UTF-8, got {path}: {reason}") from error
+            reason += ". A row has more cells than the header. Write numbers with points, not commas"
+        raise ValueError(f"`{name}` must be a CSV file in UTF-8; got {path}: {reason}.") from error
     table.columns = [str(column).strip() for column in table.columns]
     return table.fillna("") if types is str else table
 

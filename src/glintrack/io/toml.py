@@ -30,12 +30,14 @@ def read_toml(path: str | Path, name: str) -> dict[str, Any]:
         values = tomllib.loads(text)
     except ValueError as error:  # of numbers of more than 4300 digits too, which are no fault of the format
         found = _DECIMAL_COMMA.search(text)
-        remedy = f": {found[1]} = {plain(found[2], 40)}{decimal_comma_hint(found[2])}" if found else ""
-        raise ValueError(f"`{name}` must be valid TOML, got {path}: {plain(error, 200)}{remedy}") from error
+        remedy = f" The line is {found[1]} = {found[2]}.{decimal_comma_hint(found[2])}" if found else ""
+        raise ValueError(f"`{name}` must be valid TOML; got {path}: {plain(error, 200)}.{remedy}") from error
     except RecursionError as error:
-        raise ValueError(f"`{name}` must be valid TOML, got {path}, nested too deeply") from error
+        raise ValueError(f"`{name}` must be valid TOML; got {path}, nested too deeply.") from error
     if _is_deep(values):
-        raise ValueError(f"`{name}` must hold tables at most {MAX_DEPTH} deep, got {path}, nested too deeply")
+        raise ValueError(
+            f"`{name}` must hold tables at most {MAX_DEPTH} deep; got {path}, nested too deeply."
+        )
     return values
 
 

@@ -78,13 +78,13 @@ def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Pa
         regular, size = path.is_file(), path.stat().st_size
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise ValueError(f"`{name}` must be a readable file, got {path} ({reason})") from error
+        raise ValueError(f"`{name}` must be a readable file; got {path}: {reason}.") from error
     if not regular:
         kind = "a folder (name a file in it)" if path.is_dir() else "no regular file"
-        raise ValueError(f"`{name}` must be a readable file, got {path}, which is {kind}")
+        raise ValueError(f"`{name}` must be a readable file; got {path}, which is {kind}.")
     if most_bytes is not None and size > most_bytes:
         raise ValueError(
-            f"`{name}` must have at most {most_bytes / 1e6:g} MB, got {path} with {size / 1e6:.0f}"
+            f"`{name}` must have at most {most_bytes / 1e6:g} MB; got {path} with {size / 1e6:.0f}."
         )
     return path
 
@@ -107,7 +107,7 @@ def _read(path: str | Path, name: str, most_bytes: int) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise ValueError(f"`{name}` must be a readable file, got {path} ({error.strerror})") from error
+        raise ValueError(f"`{name}` must be a readable file; got {path}: {error.strerror}.") from error
 
 
 def read_bytes(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> bytes:
@@ -123,11 +123,11 @@ def read_bytes(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) ->
             content = file.read(most_bytes + 1)
         except (OSError, EOFError, zlib.error) as error:
             raise ValueError(
-                f"`{name}` must be a whole gzip or bzip2 archive, got {path}: {error}"
+                f"`{name}` must be a whole gzip or bzip2 archive; got {path}: {error}."
             ) from error
     if len(content) > most_bytes:
         raise ValueError(
-            f"`{name}` must hold at most {most_bytes / 1e6:g} MB when unzipped, got more in {path}"
+            f"`{name}` must hold at most {most_bytes / 1e6:g} MB when unzipped; got more in {path}."
         )
     return content
 
@@ -148,7 +148,7 @@ def open_unzipped(path: str | Path, name: str) -> BufferedIOBase:
             return bz2.open(path)
         return gzip.open(path) if head[:2] == b"\x1f\x8b" else path.open("rb")
     except OSError as error:
-        raise ValueError(f"`{name}` must be a readable file, got {path} ({error.strerror})") from error
+        raise ValueError(f"`{name}` must be a readable file; got {path}: {error.strerror}.") from error
 
 
 def read_text(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> str:
@@ -162,7 +162,7 @@ def read_text(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> 
     try:
         return _read(path, name, most_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ValueError(f"`{name}` must be UTF-8 text, got {path} with a byte that is not") from error
+        raise ValueError(f"`{name}` must be UTF-8 text; got {path} with a byte that is not.") from error
 
 
 def read_json(path: str | Path, name: str) -> Any:
@@ -176,9 +176,9 @@ def read_json(path: str | Path, name: str) -> Any:
     try:
         return json.loads(read_bytes(path, name).decode("utf-8"))
     except RecursionError as error:
-        raise ValueError(f"`{name}` must be JSON, got {path}, nested too deeply") from error
+        raise ValueError(f"`{name}` must be JSON; got {path}, nested too deeply.") from error
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"`{name}` must be JSON in UTF-8, got {path}: {plain(error, 200)}") from error
+        raise ValueError(f"`{name}` must be JSON in UTF-8; got {path}: {plain(error, 200)}.") from error
 
 
 def check_netcdf(path: str | Path, name: str) -> Path:
@@ -192,11 +192,11 @@ def check_netcdf(path: str | Path, name: str) -> Path:
     path = check_file(path, name)
     with path.open("rb") as file:
         if file.read(8) != _HDF5_SIGNATURE:
-            raise ValueError(f"`{name}` must be a readable NetCDF-4 file, got {path}")
+            raise ValueError(f"`{name}` must be a readable NetCDF-4 file; got {path}.")
     about = path.stat()
     fault = _netcdf_fault(str(path.resolve()), about.st_size, about.st_mtime_ns)
     if fault:
-        raise ValueError(f"`{name}` must be a whole NetCDF-4 file, got {path}: {fault}")
+        raise ValueError(f"`{name}` must be a whole NetCDF-4 file; got {path}: {fault}.")
     return path
 
 
@@ -325,19 +325,19 @@ def open_raster(path: str | Path, name: str, requirement: str = "a raster") -> "
                 break
     if file is None:
         kinds = "GeoTIFF, PNG, JPEG, JPEG 2000, WebP, BMP, ENVI, ESRI or DTED"
-        raise ValueError(f"`{name}` must be {requirement} ({kinds}), got {path}")
+        raise ValueError(f"`{name}` must be {requirement} ({kinds}); got {path}.")
     cells, corner = file.width * file.height * file.count, tuple(file.transform)[:6]
     fault = ""
     if file.driver == "PNG" and not _is_whole_png(path):
-        fault = f"`{name}` must be a whole PNG file, got {path}, which is cut off or damaged"
+        fault = f"`{name}` must be a whole PNG file; got {path}, which is cut off or damaged."
     elif cells > min(_MAX_CELLS, max(_ALWAYS_ALLOWED_CELLS, _MAX_CELLS_PER_BYTE * path.stat().st_size)):
         fault = (
-            f"`{name}` must have at most {_MAX_CELLS:.0e} cells, and data for them, got {path} with "
-            f"{file.width} × {file.height} × {file.count}"
+            f"`{name}` must have at most {_MAX_CELLS:.0e} cells, and data for them; got {path} with "
+            f"{file.width} × {file.height} × {file.count}."
         )
     elif not all(abs(value) <= MAX_COORDINATE_M for value in corner):
         fault = (
-            f"`{name}` must have a finite geotransform within ±{MAX_COORDINATE_M:g}, got {corner} in {path}"
+            f"`{name}` must have a finite geotransform within ±{MAX_COORDINATE_M:g}; got {corner} in {path}."
         )
     if fault:
         file.close()
@@ -369,9 +369,9 @@ def check_heights(values: Float[np.ndarray, "..."], name: str, path: str | Path)
     bad = known & ((values < MIN_HEIGHT_M) | (values > MAX_HEIGHT_M))
     if bad.any():
         raise ValueError(
-            f"`{name}` must hold heights of {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m, got "
-            f"{values[bad].flat[0]:g} in {100 * bad.sum() / known.sum():.2g} % of {path} "
-            "(mark missing heights: gdal_edit.py -a_nodata …)"
+            f"`{name}` must hold heights of {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m; got "
+            f"{values[bad].flat[0]:g} in {100 * bad.sum() / known.sum():.2g} % of {path}. "
+            "Mark missing heights: gdal_edit.py -a_nodata …"
         )
 
 

@@ -23,8 +23,8 @@ PARTS = 6  # of a flight: 10 s of a minute, in which a vehicle crosses a few str
 MIN_FRAMES = 2 * PARTS
 CONFIDENCE = 0.95
 MAX_FLIGHTS = 1000
-SHARES = ("completeness", "completeness_all", "completeness_visible", "custody", "purity", "idf1_moving",
-          "same_track_after_10s")  # fmt: skip
+SHARES = ("completeness", "completeness_with_stopped", "completeness_visible", "custody", "purity",
+          "idf1_moving", "same_track_after_10s")  # fmt: skip
 _TEXT = re.compile(r"\s*(?:(?P<channel>\w+)\.)?(?P<score>\w+)\s*(?P<sign><=|>=|<|>)\s*(?P<limit>\S+)\s*")
 
 
@@ -54,7 +54,7 @@ class Requirement:
         if self.channel not in (None, *channels):
             known = ", ".join(channels)
             raise ValueError(
-                f"`--require` must name a channel of the flights ({known}), got {self.channel!r}"
+                f"`--require` must name a channel of the flights ({known}); got {self.channel!r}."
             )
 
     def __str__(self) -> str:
@@ -96,23 +96,23 @@ def read_requirement(text: str) -> Requirement:
     parts = _TEXT.fullmatch(text)
     if parts is None:
         raise ValueError(
-            f"`--require` must be SCORE>=NUMBER or SCORE<=NUMBER, as 'custody>=0.8', got {text[:80]!r} "
-            "(put it in quotes: the shell interprets >)"
+            f"`--require` must be SCORE>=NUMBER or SCORE<=NUMBER, as 'custody>=0.8'; got {text[:80]!r}. "
+            "Put it in quotes: the shell interprets >."
         )
     known = summarize([])
     if parts["score"] not in known:
         raise ValueError(
-            f"`--require` must name a score, got {parts['score'][:80]!r} "
-            f"({suggest_name(parts['score'], known)})"
+            f"`--require` must name a score; got {parts['score'][:80]!r}. "
+            f"{suggest_name(parts['score'], known)}"
         )
     try:
         limit = float(parts["limit"])
     except ValueError:
         limit = math.nan
     if not math.isfinite(limit):
-        raise ValueError(f"`--require` must give a finite limit, got {parts['limit'][:80]!r}")
+        raise ValueError(f"`--require` must give a finite limit; got {parts['limit'][:80]!r}.")
     if parts["score"] in SHARES and not 0 <= limit <= 1:
-        raise ValueError(f"`--require` must give a share from 0 to 1 for {parts['score']}, got {limit:g}")
+        raise ValueError(f"`--require` must give a share from 0 to 1 for {parts['score']}; got {limit:g}.")
     channel = parts["channel"] and parts["channel"].lower()  # tables say DoLP
     return Requirement(parts["score"], parts["sign"].startswith(">"), limit, channel)
 

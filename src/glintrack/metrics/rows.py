@@ -154,15 +154,15 @@ def _epoch_of(tracks: xr.Dataset, epochs: Float[Array, "epoch"]) -> Array:
         return np.empty(0, int)
     time_s = tracks["time_s"].values.astype(float)
     if len(epochs) == 0:
-        raise ValueError("`truth` must have rows at the times of the tracks, got none")
+        raise ValueError("`truth` must have rows at the times of the tracks; got none.")
     after = np.minimum(np.searchsorted(epochs, time_s), len(epochs) - 1)
     before = np.maximum(after - 1, 0)
     index = np.where(np.abs(epochs[before] - time_s) <= np.abs(epochs[after] - time_s), before, after)
-    stray = np.abs(epochs[index] - time_s) > SAME_TIME_S
-    if stray.any():
+    apart = np.abs(epochs[index] - time_s) > SAME_TIME_S
+    if apart.any():
         raise ValueError(
-            f"`tracks` must have the truth's times, got {int(stray.sum())} rows at others, the first at "
-            f"{time_s[stray][0]:g} s where the truth's lie between {epochs[0]:g} and {epochs[-1]:g} s"
+            f"`tracks` must have the truth's times; got {int(apart.sum())} rows at others, the first at "
+            f"{time_s[apart][0]:g} s where the truth's lie between {epochs[0]:g} and {epochs[-1]:g} s."
         )
     return index
 

@@ -29,28 +29,28 @@ def summarize(epochs: Sequence[EpochScore]) -> dict[str, float]:
     -------
     The headline: ``held_per_km2`` (moving vehicles of the area that have a track) [km⁻²], ``completeness``
     of all movers, ``completeness_visible``, ``custody`` [1] and ``false_per_km2`` [km⁻²]. Others:
-    ``completeness_all``, ``purity`` [1], ``false_per_epoch``, ``tracks_per_epoch``, ``vehicles_per_epoch``
-    (that should be tracked), ``identity_switches``, ``median_time_to_loss_s`` [s], ``same_track_after_10s``,
-    ``idf1_moving``, ``position_rms_m`` of valid tracks [m], ``epochs``.
+    ``completeness_with_stopped``, ``purity`` [1], ``false_per_frame``, ``tracks_per_frame``,
+    ``vehicles_per_frame`` (that should be tracked), ``identity_switches``, ``median_time_to_loss_s`` [s],
+    ``same_track_after_10s``, ``idf1_moving``, ``position_rms_m`` of valid tracks [m], ``frames``.
     """
     errors = np.concatenate([e.distance_m[e.valid] for e in epochs]) if epochs else np.empty(0)
     return {
         "held_per_km2": _mean([e.valid.sum() / e.area_km2 for e in epochs]),
         "completeness": _mean(completeness(epochs)),
         "completeness_visible": _mean(completeness(epochs, "visible")),
-        "completeness_all": _mean(completeness(epochs, "all")),
+        "completeness_with_stopped": _mean(completeness(epochs, "all")),
         "purity": purity(epochs),
         "custody": custody(epochs),
         "median_time_to_loss_s": median_time_to_loss(epochs),
         "same_track_after_10s": same_track_after(epochs),
         "idf1_moving": idf1_moving(epochs),
-        "false_per_epoch": _mean([e.false.sum() for e in epochs]),
+        "false_per_frame": _mean([e.false.sum() for e in epochs]),
         "false_per_km2": _mean([e.false.sum() / e.area_km2 for e in epochs]),
-        "tracks_per_epoch": _mean([len(e.track_ids) for e in epochs]),
-        "vehicles_per_epoch": _mean([e.should.sum() for e in epochs]),
+        "tracks_per_frame": _mean([len(e.track_ids) for e in epochs]),
+        "vehicles_per_frame": _mean([e.should.sum() for e in epochs]),
         "identity_switches": float(identity_switches(epochs)),
         "position_rms_m": float(np.sqrt(_mean(errors**2))),
-        "epochs": float(len(epochs)),
+        "frames": float(len(epochs)),
     }
 
 

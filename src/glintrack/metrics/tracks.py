@@ -69,7 +69,7 @@ def area_km2(area_m: Area) -> float:
         return 1e-6 * float(shapely.area(area_m)) or float("nan")
     west, south, east, north = area_m
     if not (west < east and south < north):
-        raise ValueError(f"`area_m` must be (west, south, east, north) and not empty, got {tuple(area_m)}")
+        raise ValueError(f"`area_m` must be (west, south, east, north) and not empty; got {tuple(area_m)}.")
     return 1e-6 * (east - west) * (north - south)
 
 
@@ -130,7 +130,7 @@ class EpochScore:
         try:
             counted = {"moving": self.should, "visible": self.visible, "all": self.inside}[over]
         except KeyError:
-            raise ValueError(f"`over` must be 'moving', 'visible' or 'all', got {over!r}") from None
+            raise ValueError(f"`over` must be 'moving', 'visible' or 'all'; got {over!r}.") from None
         return float(np.mean(self.matched_track[counted] >= 0)) if counted.any() else float("nan")
 
 
@@ -306,17 +306,17 @@ def connected_components(left: Int[Array, "pair"], right: Int[Array, "pair"]) ->
 def ids_of(dataset: xr.Dataset, dim: str) -> Int[Array, "id"]:
     """Ids along a dim, all different."""
     if dim not in dataset.coords:
-        raise ValueError(f"`{dim}` must be a coordinate of integer ids, got none")
+        raise ValueError(f"`{dim}` must be a coordinate of integer ids; got none.")
     return check_ids(np.asarray(dataset[dim].values), dim)
 
 
 def check_ids(ids: Int[Array, "id"], name: str) -> Int[Array, "id"]:
     """Check that ids are integers and all different, and return them."""
     if ids.size and not (np.issubdtype(ids.dtype, np.integer) and ids.min() >= 0):
-        raise ValueError(f"`{name}` must hold integer ids of 0 or more, got {ids[:4]}")
+        raise ValueError(f"`{name}` must hold integer ids of 0 or more; got {ids[:4]}.")
     repeated = len(ids) - len(np.unique(ids))
     if repeated:
-        raise ValueError(f"`{name}` must hold each id once, got {repeated} repeated")
+        raise ValueError(f"`{name}` must hold each id once; got {repeated} repeated.")
     return ids.astype(np.int64)
 
 

@@ -1,4 +1,4 @@
-"""Rectification: detector frames to a fixed ground grid, what is hidden there, and registration."""
+"""Rectification: frames to a fixed ground grid, what is hidden there, and registration."""
 
 from glintrack.ortho.grid import (
     ground_grid,

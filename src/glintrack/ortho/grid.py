@@ -24,7 +24,7 @@ def ground_grid(
     """Centres of the grid's cells: rising eastings, falling northings. [m]"""
     west, south, east, north = area_m
     if not (gsd_m > 0 and east - west >= gsd_m and north - south >= gsd_m):
-        raise ValueError(f"`area_m` must hold at least one cell of {gsd_m} m, got {area_m}")
+        raise ValueError(f"`area_m` must hold at least one cell of {gsd_m} m; got {area_m}.")
     columns, rows = round((east - west) / gsd_m), round((north - south) / gsd_m)
     return west + gsd_m * (np.arange(columns) + 0.5), north - gsd_m * (np.arange(rows) + 0.5)
 
@@ -81,7 +81,7 @@ def transform_places(
     source, target = _crs(from_crs), _crs(to_crs)
     found = change_crs(source, target).transform(x, y)
     if not np.isfinite(found).all():
-        raise ValueError(f"`crs` must hold the whole grid, got places of {source.name} beyond {target.name}")
+        raise ValueError(f"`crs` must hold the whole grid; got places of {source.name} beyond {target.name}.")
     return found
 
 
@@ -89,7 +89,7 @@ def _crs(crs: str) -> pyproj.CRS:
     try:
         return pyproj.CRS.from_user_input(crs)
     except CRSError as error:
-        raise ValueError(f"`crs` must be one that PROJ knows, got {crs!r}") from error
+        raise ValueError(f"`crs` must be one that PROJ knows; got {crs!r}.") from error
 
 
 def on_ground(terrain: xr.Dataset, enu: Float[Array, "point axis"]) -> Float[Array, "point 3"]:

@@ -48,8 +48,8 @@ def displacement_between(
     image, reference = np.asarray(image, float), np.asarray(reference, float)
     if image.shape != reference.shape or min(image.shape, default=0) < _MIN_SIDE:
         raise ValueError(
-            f"`image` and `reference` must be of one size, {_MIN_SIDE} pixels a side at least, "
-            f"got {image.shape} and {reference.shape}"
+            f"`image` and `reference` must be of one size, {_MIN_SIDE} pixels a side at least; "
+            f"got {image.shape} and {reference.shape}."
         )
     total = np.zeros(2)
     clearness = 0.0

@@ -46,10 +46,10 @@ def occlusion_mask(
     values = check(surface, "terrain")["height"].values.astype(float)
     x, y = surface["x"].values.astype(float), surface["y"].values.astype(float)
     if min(len(x), len(y)) < 2:
-        raise ValueError(f"`surface` must have two cells a side at least, got {len(y)} × {len(x)}")
+        raise ValueError(f"`surface` must have two cells a side at least; got {len(y)} × {len(x)}.")
     step_x, step_y = x[1] - x[0], y[0] - y[1]
     if not (np.allclose(np.diff(x), step_x, rtol=1e-3) and np.allclose(-np.diff(y), step_y, rtol=1e-3)):
-        raise ValueError("`surface` must be evenly spaced, x rising and y falling, got other coordinates")
+        raise ValueError("`surface` must be evenly spaced, x rising and y falling; got other coordinates.")
     shape = np.broadcast_shapes(np.shape(east), np.shape(north), np.shape(height))
     east, north, height = (np.broadcast_to(a, shape) for a in (east, north, height))
     out = np.zeros(height.shape, np.bool_)

@@ -69,7 +69,7 @@ class Photograph:
         if size != (camera.rows, camera.columns):
             raise ValueError(
                 f"`FRAME` must be {camera.columns} pixels wide and {camera.rows} high as in the camera "
-                f"file, got {size[1]} and {size[0]}"
+                f"file; got {size[1]} and {size[0]}."
             )
         return found
 
@@ -174,19 +174,19 @@ def rectify(
     placed = pose if isinstance(pose, PlacedPose) else read_pose(Path(pose), name)
     pixels = frame_border(lens) if area is None else np.array([lens.principal_point])
     if (rays(lens, placed.pose, pixels)[..., 2] > -1e-3).any():
-        remedy = "check the angles' signs and units" if area else "give an area, --area, to rectify a part"
+        remedy = "Check the angles' signs and units." if area else "Give --area to rectify a part."
         raise ValueError(
-            f"`pose` must look below the horizon, got a line of sight at or above it in the frame ({remedy})"
+            f"`pose` must look below the horizon; got a line of sight at or above it in the frame. {remedy}"
         )
     photograph = Photograph.read(source, lens, placed)
     level = isinstance(ground, int | float)
     if level and not MIN_HEIGHT_M <= ground <= MAX_HEIGHT_M:
-        raise ValueError(f"`height` must lie within {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m, got {ground:g}")
+        raise ValueError(f"`height` must lie within {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m; got {ground:g}.")
     levels = (float(ground), float(ground)) if level else read_height_range(Path(ground), "dem")
     if placed.pose.up_m <= levels[0]:
         raise ValueError(
-            f"`pose.height_m` must be above the ground, {levels[0]:g} m at its lowest, "
-            f"got {placed.pose.up_m:g} m (are both in the same heights?)"
+            f"`pose.height_m` must be above the ground, {levels[0]:g} m at its lowest; "
+            f"got {placed.pose.up_m:g} m. Are both in the same heights?"
         )
     grid = MapGrid.over(lens, placed, levels, crs, gsd, area)
     east, north = grid.places(placed)
@@ -208,8 +208,8 @@ def rectify(
         names = [*names, "occluded"]
     if not np.isfinite(bands[..., : len(photograph.names)]).any():
         raise ValueError(
-            f"`area` and `gsd` must give cells on ground that the frame sees, got {bands.shape[0]} × "
-            f"{bands.shape[1]} cells without any (both are in units of the CRS: degrees for EPSG:4326)"
+            f"`area` and `gsd` must give cells on ground that the frame sees; got {bands.shape[0]} × "
+            f"{bands.shape[1]} cells without any. Both are in units of the CRS: degrees for EPSG:4326."
         )
     return Orthophoto(bands, names, grid, tags, photograph.dtype if photograph.dtype in _EXACT else "float32")
 
@@ -223,12 +223,12 @@ def _void_share(ground: Array, camera: Camera, placed: PlacedPose, east: Array, 
     frame = np.zeros((camera.rows, camera.columns), np.float32)
     seen = np.isfinite(rectify_onto(frame, camera, placed.pose, east, north, level, "nearest"))
     share = float((missing & seen).sum() / max(seen.sum(), 1))
-    remedy = "fill it with gdal_fillnodata.py, give a smaller area, or a height"
+    remedy = "Fill it with gdal_fillnodata.py, or give a smaller area or a height."
     if share == 1:
-        raise ValueError(f"`dem` must have heights where the frame looks, got none there ({remedy})")
+        raise ValueError(f"`dem` must have heights where the frame looks; got none there. {remedy}")
     if share:
         warnings.warn(
-            f"`dem` has no height in {100 * share:.2g} % of the ground in the frame: NaN there ({remedy})",
+            f"`dem` has no height in {100 * share:.2g} % of the ground in the frame: NaN there. {remedy}",
             stacklevel=3,
         )
     return share

@@ -64,7 +64,7 @@ class MapGrid:
             area = _footprint(camera, placed, levels_m, own)
         if gsd is None:
             if crs is not None and CRS.from_user_input(own).is_geographic:
-                raise ValueError(f"`gsd` must be given in degrees for a geographic CRS, got none for {crs}")
+                raise ValueError(f"`gsd` must be given in degrees for a geographic CRS; got none for {crs}.")
             # side of a square as large as the middle pixel's share of the ground, to two digits
             row, column = camera.principal_point
             corners = np.array([[row, column], [row + 1, column], [row, column + 1]])
@@ -72,19 +72,19 @@ class MapGrid:
             a, b, c = ground_points(camera, placed.pose, corners, level_m)
             gsd = float(f"{math.sqrt(float(np.linalg.norm(np.cross(b - a, c - a)))):.2g}")
         if not 0 < gsd <= MAX_CELL_M:
-            raise ValueError(f"`gsd` must be positive and at most {MAX_CELL_M:g}, got {gsd:g}")
+            raise ValueError(f"`gsd` must be positive and at most {MAX_CELL_M:g}; got {gsd:g}.")
         if not all(abs(v) <= MAX_COORDINATE_M for v in area):
             raise ValueError(
-                f"`area` must lie within ±{MAX_COORDINATE_M:g}, got {' '.join(f'{v:g}' for v in area)}"
+                f"`area` must lie within ±{MAX_COORDINATE_M:g}; got {' '.join(f'{v:g}' for v in area)}."
             )
         west, south, east, north = (f(v / gsd) * gsd for f, v in zip(_OUTWARD, area, strict=True))
         if not (west < east and south < north):
-            raise ValueError(f"`area` must be west south east north and not empty, got {area}")
+            raise ValueError(f"`area` must be west south east north and not empty; got {area}.")
         if (east - west) / gsd * (north - south) / gsd > _MAX_CELLS:
             low = f" (the lens at {placed.pose.up_m:g} m is below ground of {levels_m[1]:g} m)"
             raise ValueError(
-                f"`gsd` must be larger, or `area` smaller, got {(east - west) / gsd:.3g} × "
-                f"{(north - south) / gsd:.3g} cells{low if placed.pose.up_m < levels_m[1] else ''}"
+                f"`gsd` must be larger, or `area` smaller; got {(east - west) / gsd:.3g} × "
+                f"{(north - south) / gsd:.3g} cells{low if placed.pose.up_m < levels_m[1] else ''}."
             )
         columns, rows = max(round((east - west) / gsd), 2), max(round((north - south) / gsd), 2)
         x, y = west + gsd * (np.arange(columns) + 0.5), north - gsd * (np.arange(rows) + 0.5)
@@ -138,10 +138,10 @@ def _if_exchanged(path: Path, option: str, placed: PlacedPose) -> str:
     if is_within(path, option, east, north, placed.crs):
         return ""
     if not is_within(path, option, north, east, placed.crs):
-        return f" (the pose is at {east:.9g} m east, {north:.9g} m north in its own CRS)"
+        return f" The pose is at {east:.9g} m east, {north:.9g} m north in its own CRS."
     return (
-        f" (with easting_m = {north:.9g} and northing_m = {east:.9g} the pose is over {path.name}: are "
-        "they exchanged?)"
+        f" Are they exchanged? With easting_m = {north:.9g} and northing_m = {east:.9g} the pose is over "
+        f"{path.name}."
     )
 
 
@@ -157,7 +157,7 @@ def displacement_against(bands: Array, path: Path, grid: MapGrid) -> tuple[float
         with open_raster(path, "register") as file:
             if file.crs is None:
                 raise ValueError(
-                    f"`register` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)"
+                    f"`register` must have a CRS; got none in {path.name}. Set it: gdal_edit.py -a_srs …"
                 )
             corner = from_origin(grid.x[0] - grid.gsd / 2, grid.y[0] + grid.gsd / 2, grid.gsd, grid.gsd)
             reproject(
@@ -166,12 +166,12 @@ def displacement_against(bands: Array, path: Path, grid: MapGrid) -> tuple[float
                 dst_transform=corner, dst_crs=grid.crs, dst_nodata=np.nan, resampling=Resampling.bilinear,
             )  # fmt: skip
     except RasterioError as error:
-        raise ValueError(f"`register` must be a raster that GDAL reads, got {path}") from error
+        raise ValueError(f"`register` must be a raster that GDAL reads; got {path}.") from error
     rows, columns, _ = displacement_between(bands[..., 0], reference)
     if not math.isfinite(rows):
         raise ValueError(
-            "`register` must show the same ground as the frame, got no significant displacement "
-            f"against {path.name}"
+            "`register` must show the same ground as the frame; got no significant displacement "
+            f"against {path.name}."
         )
     return rows, columns
 
@@ -191,7 +191,7 @@ def occlusion_by_raster(
     south, top = min(north.min(), toward[1]), max(north.max(), toward[1])
     step = max(_pixel_size(path, placed, west, south), 0.05)
     if (right - west) * (top - south) / step**2 > _MAX_SURFACE_CELLS:
-        raise ValueError(f"`surface` must be coarser, or `area` smaller, got cells of {step:g} m")
+        raise ValueError(f"`surface` must be coarser, or `area` smaller; got cells of {step:g} m.")
     x, y = np.arange(west, right + step, step), np.arange(top, south - step, -step)
     axes = x + placed.origin_m[0], y + placed.origin_m[1]
     heights = read_heights(path, "surface", *np.meshgrid(axes[0][[0, -1]], axes[1][[0, -1]]), placed.crs)

@@ -1,4 +1,4 @@
-"""Rectify detector frames to a fixed ground grid by collinearity with the *reported* pose, and register them.
+"""Rectify frames to a fixed ground grid by collinearity with the *reported* pose, and register them.
 
 Each cell of the ground grid, with the terrain's height, is projected into the frame, Eqs. (4)–(6) of Presnar
 et al. (2010). Stokes vectors of the result are in the ``meridian`` frame, so that the angle of polarization
@@ -232,7 +232,7 @@ def rectify_array(
     """
     if values.shape[:2] != (camera.rows, camera.columns):
         raise ValueError(
-            f"`values` must be {camera.rows} × {camera.columns} elements, got {values.shape[:2]}"
+            f"`values` must be {camera.rows} × {camera.columns} elements; got {values.shape[:2]}."
         )
     cells = GridCells.over(terrain, *ground_grid(area_m, gsd_m))
     components = values.shape[-1] if is_stokes else 0
@@ -294,9 +294,9 @@ def _sweep(
 ) -> Array:
     """Sample values at every cell; ``polarized`` and ``dolp`` as in `kernels.sample`."""
     if method not in METHODS:
-        raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}")
+        raise ValueError(f"`method` must be one of {', '.join(METHODS)}; got {method!r}.")
     if min(values.shape[:2]) < 2:
-        raise ValueError(f"`values` must have two pixels a side at least, got {values.shape[:2]}")
+        raise ValueError(f"`values` must have two pixels a side at least; got {values.shape[:2]}.")
     source = np.ascontiguousarray(values, np.float32).reshape(*values.shape[:2], -1)
     out = np.empty((*cells.shape, source.shape[2]), np.float32)
     centre = (camera.rows - 1) / 2, (camera.columns - 1) / 2

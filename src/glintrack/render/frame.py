@@ -128,8 +128,8 @@ def render_product(
     if product == "rgb":
         if sky.wavelength_um[0] > 0.45 or sky.wavelength_um[-1] < 0.65:
             raise ValueError(
-                "`--rgb` must have the atmosphere's tables over 0.45 to 0.65 µm, got "
-                f"{sky.wavelength_um[0]:g} to {sky.wavelength_um[-1]:g} µm"
+                "`--rgb` must have the atmosphere's tables over 0.45 to 0.65 µm; got "
+                f"{sky.wavelength_um[0]:g} to {sky.wavelength_um[-1]:g} µm."
             )
         weights = colour_channels(sky.wavelength_um)
         picture = natural_colour(_stokes(view, weights)[..., 0], view.observer.white(weights))
@@ -221,14 +221,14 @@ def _check_band(sky: Sky, band_um: tuple[float, float]) -> None:
     table = sky.wavelength_um
     if not table[0] - 1e-9 <= low < high <= table[-1] + 1e-9:
         raise ValueError(
-            f"`--band` must rise within the atmosphere's {table[0]:g} to {table[-1]:g} µm, "
-            f"got {low:g}:{high:g} (see atmosphere.wavelength_stop_um)"
+            f"`--band` must rise within the atmosphere's {table[0]:g} to {table[-1]:g} µm; "
+            f"got {low:g}:{high:g}. Set atmosphere.wavelength_stop_um to extend them."
         )
     if not ((table >= low - 1e-9) & (table <= high + 1e-9)).any():
         nearest = float(table[np.argmin(np.abs(table - 0.5 * (low + high)))])
         raise ValueError(
-            f"`--band` must hold at least one of the atmosphere's wavelengths, got {low:g}:{high:g} "
-            f"(the nearest is {nearest:g} µm)"
+            f"`--band` must hold at least one of the atmosphere's wavelengths; got {low:g}:{high:g}. "
+            f"The nearest is {nearest:g} µm."
         )
 
 

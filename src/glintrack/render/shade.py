@@ -100,7 +100,7 @@ def shade_blocks(
     stokes).
     """
     if rows < 1:
-        raise ValueError(f"`rows` must be at least 1, got {rows}")
+        raise ValueError(f"`rows` must be at least 1; got {rows}.")
     channels = _weights(sky, channels, wavelength_um)
     index = np.arange(hits.rows * hits.columns)
     parts = (index[k : k + rows * hits.columns] for k in range(0, len(index), rows * hits.columns))
@@ -113,12 +113,12 @@ def _weights(sky: Sky, channels: Array | None, wavelength_um: Array | None) -> A
     """Channel weights on the sky's grid, from channels or wavelengths."""
     grid = sky.wavelength_um
     if (channels is None) == (wavelength_um is None):
-        raise ValueError("`shade` must be given either channels or wavelength_um, got both or neither")
+        raise ValueError("`shade` must be given either channels or wavelength_um; got both or neither.")
     if wavelength_um is None:
         channels = np.atleast_2d(np.asarray(channels, dtype=float))
         if channels.shape[0] == 0 or channels.shape[1] != len(grid):
             raise ValueError(
-                f"`channels` must have at least one row of {len(grid)} weights, got shape {channels.shape}"
+                f"`channels` must have at least one row of {len(grid)} weights; got shape {channels.shape}."
             )
         return channels
     wavelength_um = check_wavelengths(wavelength_um)

@@ -166,9 +166,9 @@ def trace(
         If the pose is a reported one, the camera is not above the ground, or the scene is empty.
     """
     if pose.kind != "true":
-        raise ValueError(f"`pose` must be a true pose to render with, got a {pose.kind} one")
+        raise ValueError(f"`pose` must be a true pose to render with; got a {pose.kind} one.")
     if sun_samples < 1:
-        raise ValueError(f"`sun_samples` must be at least 1, got {sun_samples}")
+        raise ValueError(f"`sun_samples` must be at least 1; got {sun_samples}.")
     tracer = tracer or build_tracer(snapshot)
     sun = np.asarray(sun_direction, dtype=np.float32)
     scene = SunlitScene(tracer, snapshot, surroundings, sun)
@@ -177,7 +177,7 @@ def trace(
     is_smooth = np.asarray(roughness) < MIRROR_ROUGHNESS
     with tracer.hold(snapshot):
         if _is_below_ground(tracer, snapshot, pose):
-            raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
+            raise ValueError(f"`pose.up_m` must be above the ground; got {pose.up_m:g} m.")
         seen = _trace_elements(scene, camera, pose, chosen, oversampling, is_smooth, sun_samples)
         mirrored, there = _mirror(scene, seen, pose.position)
         around = light_around(scene, seen, there)

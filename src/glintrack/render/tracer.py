@@ -82,7 +82,7 @@ class SceneTracer:
         """
         if snapshot.fixed != self.fixed:
             raise ValueError(
-                f"`snapshot.fixed` must be {self.fixed}, as when the tracer was built, got {snapshot.fixed}"
+                f"`snapshot.fixed` must be {self.fixed}, as when the tracer was built; got {snapshot.fixed}."
             )
         with self.busy:
             self.rays.update(snapshot.transforms[self.fixed :], snapshot.model[self.fixed :])
@@ -126,7 +126,7 @@ def build_tracer(
         If the scene has no triangle.
     """
     if len(snapshot.static.faces) + sum(len(m.faces) for m in snapshot.models) == 0:
-        raise ValueError("`snapshot` must hold at least one triangle, got an empty scene")
+        raise ValueError("`snapshot` must hold at least one triangle; got an empty scene.")
     fixed = slice(0, snapshot.fixed)
     model, paint = snapshot.model[fixed], snapshot.paint[fixed]
     painted = [(snapshot.static, paint[:0]), *((m, paint[model == k]) for k, m in enumerate(snapshot.models))]
@@ -286,7 +286,7 @@ def surface_model(
     west, south, east, north = area_m
     columns, rows = int((east - west) / step_m), int((north - south) / step_m)
     if min(columns, rows) < 2:
-        raise ValueError(f"`area_m` must hold two cells of {step_m:g} m a side at least, got {area_m}")
+        raise ValueError(f"`area_m` must hold two cells of {step_m:g} m a side at least; got {area_m}.")
     x = west + step_m * (np.arange(columns) + 0.5)
     y = north - step_m * (np.arange(rows) + 0.5)
     height, down = np.empty((rows, columns)), np.tile(np.array([0, 0, -1], np.float32), (columns, 1))

@@ -99,12 +99,12 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         stages_note=STAGES_NOTE,
         budget_columns=[CHANNEL_WORDS.get(name, name) for name in budgets],
         accuracy=[(CHANNEL_WORDS.get(g, g), line) for g, line in accuracy.items()],
-        roc_rows=[
+        froc_rows=[
             [name, *(f"{row[0]:g}", *map(score_text, row[1:]))]
             for name, part in data["channels"].items()
-            for row in (part["roc"] or {"table": []})["table"]
+            for row in (part["froc"] or {"table": []})["table"]
         ],
-        roc_key=next((part["roc"]["key"] for part in data["channels"].values() if part["roc"]), ""),
+        froc_key=next((part["froc"]["key"] for part in data["channels"].values() if part["froc"]), ""),
         has_tracks=any(part["counts"]["tracks"] for part in data["channels"].values()),
         has_quality=any(part["quality"] for part in data["channels"].values()),
         base_name=name,

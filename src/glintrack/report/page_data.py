@@ -144,7 +144,7 @@ def _channel(tree: xr.DataTree, name: str, times_s: Array, middle: tuple, paints
             for k in map(str, quality.data_vars)
         },
         "spectra": _spectra(queries, times_s, paints),
-        "roc": _roc(_dataset(tree, f"{name}/roc"), node),
+        "froc": _froc(_dataset(tree, f"{name}/froc"), node),
     }
 
 
@@ -153,14 +153,14 @@ def _format_units(values: xr.DataArray) -> str:
     return units if units == "1" else units.replace("um-1", "µm-1").replace("-1", "⁻¹").replace("-2", "⁻²")
 
 
-def _roc(swept: xr.Dataset, node: xr.Dataset) -> dict | None:
+def _froc(swept: xr.Dataset, node: xr.Dataset) -> dict | None:
     """Points (false tracks per frame, completeness, label) of a threshold, and the flight's own."""
-    if not {"completeness", "false_per_epoch", "purity"} <= set(swept.data_vars):
+    if not {"completeness", "false_per_frame", "purity"} <= set(swept.data_vars):
         return None
-    columns = ("threshold", "completeness", "false_per_epoch", "purity")
+    columns = ("threshold", "completeness", "false_per_frame", "purity")
     key = str(swept["threshold"].attrs.get("key", "threshold"))
     table = [list(row) for row in zip(*(_numbers(swept[c].values) for c in columns), strict=True)]
-    own = [_number(node.attrs.get(k, math.nan)) for k in ("false_per_epoch", "completeness")]
+    own = [_number(node.attrs.get(k, math.nan)) for k in ("false_per_frame", "completeness")]
     points = [
         [false, completeness, f"{key} {threshold:g}"]
         for threshold, completeness, false, _ in table

@@ -138,14 +138,14 @@ def _records(tables: Mapping[str, pd.DataFrame], name: str, columns: Sequence[st
 
 
 def _plots(tables: Mapping[str, pd.DataFrame]) -> list[dict]:
-    """ROC curves of a swept threshold, and Pareto fronts over the data rate."""
+    """FROC curves of a swept threshold, and Pareto fronts over the data rate."""
     out = []
-    if "roc" in tables and len(tables["roc"]):
+    if "froc" in tables and len(tables["froc"]):
         lines = [
-            _line(part.sort_values("false_per_epoch"), "false_per_epoch", "completeness", *names)
-            for names, part in tables["roc"].groupby(["group", "channel"], sort=False)
+            _line(part.sort_values("false_per_frame"), "false_per_frame", "completeness", *names)
+            for names, part in tables["froc"].groupby(["group", "channel"], sort=False)
         ]
-        drawn = _plot("ROC: completeness against false tracks", "false_per_epoch", "completeness", lines)
+        drawn = _plot("FROC: completeness against false tracks", "false_per_frame", "completeness", lines)
         out.append(drawn | {"fromZero": True})
     found = tables.get("pareto")
     for gain in ("completeness", "purity"):

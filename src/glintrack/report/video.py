@@ -67,13 +67,13 @@ class Composite:
         film = result.film
         if not film.get("frames"):
             why = [note for note in result.notes if "film" in note]
-            raise ValueError(f"`result` must have a film, got {result.path}: {' '.join(why)}")
+            raise ValueError(f"`result` must have a film; got {result.path}: {' '.join(why)}")
         present = tuple(kind for kind in KINDS if kind in film["kinds"])
         if missing := [kind for kind in kinds if kind not in present]:
-            raise ValueError(f"`pictures` must be in the film ({', '.join(present)}), got {missing[0]!r}")
+            raise ValueError(f"`pictures` must be in the film ({', '.join(present)}); got {missing[0]!r}.")
         kinds, names = kinds or present, result.channels
         if channel is not None and channel not in names:
-            raise ValueError(f"`channel` must be one of {', '.join(names) or 'none'}, got {channel!r}")
+            raise ValueError(f"`channel` must be one of {', '.join(names) or 'none'}; got {channel!r}.")
         chosen = channel or (names[0] if names else "")
         west, south, east, north = film["extent_m"]
         one = width // min(2, len(kinds))
@@ -105,8 +105,8 @@ class Composite:
                 with Image.open(path) as stored:
                     if stored.width * stored.height > _MAX_PIXELS:
                         raise ValueError(
-                            f"`film` must have pictures of at most {_MAX_PIXELS:g} pixels, got {path} with "
-                            f"{stored.width} × {stored.height}"
+                            f"`film` must have pictures of at most {_MAX_PIXELS:g} pixels; got {path} with "
+                            f"{stored.width} × {stored.height}."
                         )
                     picture = stored.convert("RGB").resize(self.size, Image.Resampling.BICUBIC)
             pen, time_s = ImageDraw.Draw(picture), film["times_s"][index]
@@ -156,7 +156,7 @@ def write_video(path: str | Path, frames: Iterable[UInt8[Array, "y x 3"]], rate_
     path = Path(path)
     ending = path.suffix.lower()
     if ending not in (".mp4", ".gif"):
-        raise ValueError(f"`output` must end in .mp4 or .gif, got {path.name!r}")
+        raise ValueError(f"`output` must end in .mp4 or .gif; got {path.name!r}.")
     with temporary_path(path) as partial:
         (_write_mp4 if ending == ".mp4" else _write_gif)(partial, frames, rate_hz)
         partial.rename(path)

@@ -67,7 +67,7 @@ def serve_result(
         return ResultServer(result, page, (host, port))
     except (OSError, OverflowError) as error:
         raise ValueError(
-            f"`host` and `port` must be free to listen on, got {host}:{port} ({error})"
+            f"`host` and `port` must be free to listen on; got {host}:{port}: {error}."
         ) from error
 
 

@@ -32,7 +32,7 @@ SCORE_LABELS: Mapping[str, str] = {
     "median_time_to_loss_s": "median time to loss [s]",
     "same_track_after_10s": "P(same id after 10 s)",
     "idf1_moving": "IDF1 of moving vehicles",
-    "false_per_epoch": "false tracks a frame",
+    "false_per_frame": "false tracks per frame",
     "identity_switches": "identity switches",
 }
 _SIDE = 640  # longest side of a card's picture [pixel]
@@ -157,7 +157,7 @@ def load_result(path: str | Path) -> xr.DataTree:
     notes: list[str] = []
     tree = _read_tree(_check_folder(path), notes)
     if tree is None:
-        raise ValueError(f"`path` must be a finished result, got {path}: {notes[0]}")
+        raise ValueError(f"`path` must be a finished result; got {path}: {notes[0]}")
     return tree
 
 
@@ -226,15 +226,15 @@ def film_file(folder: Path, kind: str, frame: int) -> Path | None:
 
 
 def _check_folder(path: str | Path) -> Path:
-    folder, wanted = Path(path), "`result` must be a folder that `glintrack run` wrote"
+    folder, requirement = Path(path), "`result` must be a folder that `glintrack run` wrote"
     if not folder.is_dir():
         raise ValueError(
-            f"{wanted}, got {folder}, which {'is a file' if folder.exists() else 'does not exist'}"
+            f"{requirement}; got {folder}, which {'is a file' if folder.exists() else 'does not exist'}."
         )
     if not any((folder / mark).is_file() for mark in _MARKS):
         if (folder / "study.json").is_file():
-            raise ValueError(f"{wanted}, got the study {folder} (its page: glintrack report {folder})")
-        raise ValueError(f"{wanted}, got {folder} without any of {', '.join(_MARKS)}")
+            raise ValueError(f"{requirement}; got the study {folder}. Its page: glintrack report {folder}.")
+        raise ValueError(f"{requirement}; got {folder} without any of {', '.join(_MARKS)}.")
     return folder
 
 
@@ -248,8 +248,8 @@ def _read_part(part: tuple[Path, str], read: Callable[[Path], T], notes: list[st
     try:
         return read(path)
     except Exception as error:  # decoders raise errors of any kind for a damaged file
-        reason = str(error) if isinstance(error, ValueError) else type(error).__name__
-        notes.append(f"{name} cannot be read ({reason}): {consequence}.")
+        reason = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}."
+        notes.append(f"{name} cannot be read: {consequence}. {reason}")
         return None
 
 

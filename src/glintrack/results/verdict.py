@@ -82,7 +82,7 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
         text += f" ({_per_hundred(tree[name].attrs['completeness_window'])} of 100 in the whole window)"
     text += f", {_per_hundred(visible)} of 100 visible ones" if math.isfinite(visible) else ""
     text += f", with {_count(false)} false tracks per km²" if math.isfinite(false) else ""
-    mean_of = _frames(int(_attributes(tree, name).get("epochs", 0))) or "all frames"
+    mean_of = _frames(int(_attributes(tree, name).get("frames", 0))) or "all frames"
     lag = f", fixed lag {lag_s:g} s" if lag_s else ""
     parts = [f"{_undecided(tree, name)}{text} (mean of {mean_of}{lag})"]
     if math.isfinite(custody):
@@ -175,7 +175,7 @@ def stage_shares(tree: xr.DataTree) -> dict[str, dict[str, float]]:
     return {group: one for group, one in found.items() if one}
 
 
-_BOUND_WORDS = {"sensor": "bound from sensor noise", "detector": "bound from detections"}
+_BOUND_WORDS = {"sensor": "lower bound from sensor noise", "detector": "lower bound from detections"}
 
 
 def format_accuracy(attributes: Mapping[Any, Any]) -> str:
@@ -191,11 +191,10 @@ def format_accuracy(attributes: Mapping[Any, Any]) -> str:
         for name in ("sensor", "detector")
     }
     parts = [f"{_BOUND_WORDS[name]} {value:.2g} m" for name, value in medians.items() if math.isfinite(value)]
-    rms = float(attributes.get("position_error_tracker_rms_m", math.nan))
-    if math.isfinite(rms):
-        median = float(attributes["position_error_tracker_median_m"])
-        parts.append(f"tracks reported at once {median:.2g} m (rms {rms:.2g} m)")
-    return "median position error: " + (", ".join(parts) or "not measured")
+    median = float(attributes.get("position_error_tracker_median_m", math.nan))
+    if math.isfinite(median):
+        parts.append(f"tracks reported at once {median:.2g} m")
+    return "median position error of visible moving vehicles: " + (", ".join(parts) or "not measured")
 
 
 def accuracy_lines(tree: xr.DataTree) -> dict[str, str]:
@@ -293,7 +292,7 @@ def _about_design(
     if not budget and 0 < case.bound.every and case.flight.frames <= case.bound.every:
         yield (
             f"The loss budget was not measured: it needs more than {case.bound.every} frames "
-            f"(`bound.every`), got {case.flight.frames}."
+            f"(`bound.every`); the case has {case.flight.frames}."
         )
     with contextlib.suppress(OSError, ValueError):  # a file that the case names is not here
         judged = assess_case(case, ("view", "sensor"))
@@ -322,7 +321,7 @@ def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
 
 
 def _few_movers(tree: xr.DataTree, name: str, case: Case | None) -> Iterator[str]:
-    movers = float(_attributes(tree, name).get("vehicles_per_epoch", math.nan))
+    movers = float(_attributes(tree, name).get("vehicles_per_frame", math.nan))
     if movers < _MIN_MOVERS:
         by_file = case is not None and (case.scene.traffic_file is not None or case.scene.city == "mesh")
         more = "" if by_file else " A smaller `scene.traffic_insertion_period_s` gives more traffic."

@@ -22,15 +22,15 @@ from glintrack.io.tables import write_parquet, write_table
 from glintrack.io.toml import to_toml
 from glintrack.io.tracks import TrackGeoreference, write_mot_truth, write_paths, write_tracks
 from glintrack.results.epoch import BOX_COLUMNS
-from glintrack.results.figures import LOOP_COLOURS
+from glintrack.results.figures import LOOP_STYLES
 from glintrack.results.figures import devices as plot_devices
 from glintrack.results.figures import sensor as plot_sensor
 from glintrack.results.figures import sky as plot_sky
 from glintrack.results.figures import tracks as plot_tracks
 from glintrack.results.figures.frame import azimuth_of, draw_bearings, on_map
 from glintrack.results.film import picture_name
+from glintrack.results.froc import flight_froc
 from glintrack.results.recorder import Colour, Recorder
-from glintrack.results.roc import flight_roc
 from glintrack.results.verdict import CHANNEL_WORDS
 from glintrack.sensor import response_curves
 from glintrack.sensor.sensor import ETALON_STEPS
@@ -169,15 +169,17 @@ def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
 
 
 def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
-    """Add the vehicles' paints, and each channel's queries, detections and ROC, as groups."""
+    """Add the vehicles' paints, and each channel's queries, detections and FROC, as groups."""
     nodes = {path: node.to_dataset(inherit=False) for path, node in tree.subtree_with_keys}
     for channel in recorder.case.channels:
         nodes[f"{channel}/queries"] = recorder.queries(channel)
         nodes[f"{channel}/detections"] = recorder.detections(channel)
         if recorder.observer is not None and recorder.grid is not None:
-            found, area_of = recorder.found.get(channel, []), recorder.areas.__getitem__
+            found, grid, area_of = recorder.found.get(channel, []), recorder.grid, recorder.areas.__getitem__
             truth = _node(tree, "truth")
-            nodes[f"{channel}/roc"] = flight_roc(recorder.case, channel, found, truth, recorder.grid, area_of)
+            nodes[f"{channel}/froc"] = flight_froc(
+                recorder.case, channel, found, truth, recorder.grid, area_of
+            )
     nodes["vehicles"] = recorder.vehicles()
     return xr.DataTree.from_dict(nodes)
 
@@ -216,5 +218,5 @@ def _provenance(tree: xr.DataTree) -> str:
         return {str(k): v.item() if isinstance(v, np.generic) else v for k, v in attrs.items()}
 
     versions = {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}
-    scores = {name: plain(tree[name].attrs) for name in LOOP_COLOURS if name in tree.children}
+    scores = {name: plain(tree[name].attrs) for name in LOOP_STYLES if name in tree.children}
     return to_toml({**plain(tree.attrs), **scores, "versions": versions})

@@ -277,8 +277,8 @@ def _panels(
     for k, panel in enumerate(design.panels):
         if panel.material not in index:
             raise ValueError(
-                f"`scene.panels.{k}.material` must be one of the library, got {panel.material!r} "
-                f"({suggest_name(panel.material, index)})"
+                f"`scene.panels.{k}.material` must be one of the library; got {panel.material!r}. "
+                f"{suggest_name(panel.material, index)}"
             )
         half_width, half_length = panel.width_m / 2, panel.length_m / 2
         slab = rotate(box(-half_width, -half_length, half_width, half_length), -panel.heading_deg)
@@ -287,7 +287,7 @@ def _panels(
             west, south, east, north = extent_m
             raise ValueError(
                 f"`scene.panels.{k}` must lie in the window, east {west:g} to {east:g} m and north {south:g} "
-                f"to {north:g} m, got {panel.east_m:g} and {panel.north_m:g} m (from the window's middle)"
+                f"to {north:g} m from its middle; got {panel.east_m:g} and {panel.north_m:g} m."
             )
         found.append(Panel(panel.material, placed))
     return tuple(found)
@@ -312,7 +312,7 @@ def _plan_layout(
 ) -> tuple[Layout, tuple[str, ...]]:
     """Plan the city with a share of its trees, at most `MAX_TREES`, and with nothing on the panels."""
     if site.layout is None:
-        raise ValueError("`site` must have a layout or a mesh, got neither")
+        raise ValueError("`site` must have a layout or a mesh; got neither.")
     layout = site.layout(rng)
     layout = _thin_out(layout, round(share * len(layout.trees)), rng)
     said: tuple[str, ...] = ()

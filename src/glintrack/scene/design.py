@@ -125,21 +125,22 @@ class SceneDesign(Design):
         for key, cities in _ONLY_FOR.items():
             if getattr(self, key) is not None and self.city not in cities:
                 raise ValueError(
-                    f"`scene.{key}` must be given with city = {' or '.join(map(repr, cities))} only, "
-                    f"got city = {self.city!r}"
+                    f"`scene.{key}` must be given with city = {' or '.join(map(repr, cities))} only; "
+                    f"got city = {self.city!r}."
                 )
         needed = _NEEDED.get(self.city)
         if needed and getattr(self, needed) is None:
-            raise ValueError(f"`scene.{needed}` must be given with city = {self.city!r}, got none")
+            raise ValueError(f"`scene.{needed}` must be given with city = {self.city!r}; got none.")
         wide, high = self.size_m
         if wide * high > LARGEST_M2:
             raise ValueError(
-                f"`scene.width_m` × `scene.height_m` must be at most {LARGEST_M2 / 1e6:g} km², "
-                f"got {wide * high / 1e6:.3g} km²"
+                f"`scene.width_m` × `scene.height_m` must be at most {LARGEST_M2 / 1e6:g} km²; "
+                f"got {wide * high / 1e6:.3g} km²."
             )
         if (self.crs is None) != (self.origin_m is None):
             raise ValueError(
-                f"`scene.crs` and `scene.origin_m` must be given together, got {self.crs} and {self.origin_m}"
+                "`scene.crs` and `scene.origin_m` must be given together; "
+                f"got {self.crs} and {self.origin_m}."
             )
         if isinstance(self.area, tuple):
             shape = Polygon(self.area) if 3 <= len(self.area) <= MAX_CORNERS else Polygon()
@@ -152,8 +153,8 @@ class SceneDesign(Design):
             raise ValueError("`scene.relief_m` must be 0 but for an embedded city without a dem_file")
         if self.city == "braunschweig" and self.size_m != DEFAULT_SIZE_M:
             raise ValueError(
-                "`scene.width_m` and `scene.height_m` must be 660 and 420 for city = 'braunschweig', "
-                f"got {wide:g} and {high:g} (city = 'net' takes any window)"
+                "`scene.width_m` and `scene.height_m` must be 660 and 420 for city = 'braunschweig'; "
+                f"got {wide:g} and {high:g}. With city = 'net' any window is possible."
             )
         return self
 

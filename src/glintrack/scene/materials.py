@@ -73,9 +73,9 @@ class MaterialDesign(Design):
         for forms in (bases, indices):
             given = [n for n in forms if getattr(self, n) is not None] or "none"
             if len(given) != 1:
-                raise ValueError(f"a material must have exactly one of {', '.join(forms)}, got {given}")
+                raise ValueError(f"a material must have exactly one of {', '.join(forms)}; got {given}.")
         if self.mix is not None and sum(self.mix.values()) > 1 + 1e-6:
-            raise ValueError(f"`mix` must hold shares that sum to 1 at most, got {sum(self.mix.values()):g}")
+            raise ValueError(f"`mix` must hold shares that sum to 1 at most; got {sum(self.mix.values()):g}.")
         if (self.diffuse == "oren_nayar") != (self.groove_slope_deg > 0):
             raise ValueError(
                 "a material must get a groove_slope_deg above 0 with diffuse = 'oren_nayar' and only then"
@@ -101,17 +101,17 @@ def read_spectrum(
     table = read_csv(Path(str(path)), path.name, types=str)
     if table.empty or column not in table or "wavelength_um" not in table:
         came = "no rows" if table.empty else sorted(table.columns)
-        raise ValueError(f"`{path.name}` must have columns wavelength_um and {column}, got {came}")
+        raise ValueError(f"`{path.name}` must have columns wavelength_um and {column}; got {came}.")
     try:
         wavelength = np.array([float(value) for value in table["wavelength_um"]])
         values = np.array([float(value) if value.strip() else np.nan for value in table[column]])
     except ValueError as error:
-        raise ValueError(f"`{path.name}` must hold numbers, got {error}") from error
+        raise ValueError(f"`{path.name}` must hold numbers; got {error}.") from error
     if not (np.isfinite(wavelength).all() and np.all(np.diff(wavelength) > 0)):
-        raise ValueError(f"`{path.name}` must have finite, rising wavelengths, got some that are not")
+        raise ValueError(f"`{path.name}` must have finite, rising wavelengths; got some that are not.")
     known = np.isfinite(values)
     if not known.any():
-        raise ValueError(f"`{path.name}` must hold measured values in column {column}, got none")
+        raise ValueError(f"`{path.name}` must hold measured values in column {column}; got none.")
     return wavelength, np.interp(wavelength, wavelength[known], values[known])
 
 
@@ -168,14 +168,14 @@ def load_user_materials(path: Path, polarized_bases: bool = False) -> tuple[xr.D
     table = read_toml(path, "materials_file")
     mesh = table.pop("mesh", {})
     if not (isinstance(mesh, dict) and all(isinstance(v, str) for v in mesh.values())):
-        raise ValueError(f"`materials_file` must give names under [mesh], got {mesh!r}")
+        raise ValueError(f"`materials_file` must give names under [mesh]; got {mesh!r}.")
     library = load_materials(polarized_bases)
     designs: dict[str, MaterialDesign] = {}
     for name, entry in table.items():
         if name in library["material"].values or name == "paint":
-            raise ValueError(f"`materials_file` must give new names, got {name!r}, which the library has")
+            raise ValueError(f"`materials_file` must give new names; got {name!r}, which the library has.")
         if not isinstance(entry, dict):
-            raise ValueError(f"`materials_file` must hold one table a material, got {name} = {entry!r}")
+            raise ValueError(f"`materials_file` must hold one table a material; got {name} = {entry!r}.")
         try:
             designs[name] = validate_design(MaterialDesign, entry)
         except ValueError as error:
@@ -271,8 +271,8 @@ def _transmittance(
     if wrong.any():
         k = int(np.argmax(wrong))
         raise ValueError(
-            f"`{name}` must have a transmittance of at least 0 and at most 1 less its reflectance, "
-            f"got {values[k]:.4g} at {wavelength[k]:.3g} µm"
+            f"`{name}` must have a transmittance of at least 0 and at most 1 less its reflectance; "
+            f"got {values[k]:.4g} at {wavelength[k]:.3g} µm."
         )
     return values
 
@@ -290,8 +290,8 @@ def _optical_constants(
     both = np.stack([read(str(name), column, wavelength) for column in ("n", "k")])
     if both[0].min() <= 0 or both[1].min() < 0 or both.max() > _MAX_INDEX:
         raise ValueError(
-            f"`{name}` must have n above 0 and k of at least 0, neither above {_MAX_INDEX:g}, got "
-            f"{both.min():g} to {both.max():g}"
+            f"`{name}` must have n above 0 and k of at least 0, neither above {_MAX_INDEX:g}; got "
+            f"{both.min():g} to {both.max():g}."
         )
     return both
 
@@ -299,14 +299,14 @@ def _optical_constants(
 def _read_user_spectrum(name: str, column: str, wavelength: Array, folder: Path | None) -> Array:
     place = folder or Path()
     if not resolve_path(place / name).is_relative_to(resolve_path(place)) or not is_file(place / name):
-        raise ValueError(f"`{name}` must be a file in the materials file's folder or below, got none there")
+        raise ValueError(f"`{name}` must be a file in the materials file's folder or below; got none there.")
     return spectral.resample(wavelength, *read_spectrum(place / name, column), name)
 
 
 def _read_packaged_spectrum(name: str, column: str, wavelength: Array, key: str) -> Array:
     path = resources.files("glintrack") / "data" / "spectra" / f"{name}.csv"
     if not (name.isidentifier() and len(name) <= 100 and path.is_file()):  # no path to another folder
-        raise ValueError(f"`{key}` must be one of the packaged spectra, got {name!r}")
+        raise ValueError(f"`{key}` must be one of the packaged spectra; got {name!r}.")
     return spectral.resample(wavelength, *_read_packaged(path, column), name)
 
 
@@ -323,17 +323,17 @@ def _base(name: str, design: MaterialDesign, folder: Path | None, wavelength: Ar
     wrong = np.flatnonzero(~((base >= 0) & (base <= 1)))
     if wrong.size:
         k = wrong[np.argmax(np.abs(base[wrong] - 0.5))]
-        remedy = " (divide percent by 100)" if base[k] > 1 else ""
+        remedy = " Divide percent by 100." if base[k] > 1 else ""
         raise ValueError(
-            f"`{name}` must have a reflectance within 0 to 1, got {base[k]:.4g} at "
-            f"{wavelength[k]:.3g} µm{remedy}"
+            f"`{name}` must have a reflectance within 0 to 1; got {base[k]:.4g} at "
+            f"{wavelength[k]:.3g} µm.{remedy}"
         )
     darkest = float(base.min())
     highest = MAX_POLARIZED_SHARE * darkest / MAX_POLARIZED_REFLECTANCE
     if design.polarized_base > highest:
         raise ValueError(
             f"`{name}.polarized_base` must be at most {highest:.3g} for a base that reflects {darkest:.3g} "
-            f"where it is darkest, got {design.polarized_base:g}"
+            f"where it is darkest; got {design.polarized_base:g}."
         )
     return base
 
@@ -368,8 +368,8 @@ def leaf_transmittance(
     highest = float(np.max(reflectance))
     if not 0 < absorptance < 1 - highest:
         raise ValueError(
-            f"`leaf_absorptance` must lie above 0 and leave light to pass: below {1 - highest:.3g}, "
-            f"got {absorptance:g}"
+            f"`leaf_absorptance` must lie above 0 and leave light to pass: below {1 - highest:.3g}; "
+            f"got {absorptance:g}."
         )
     low, high = 1.0, _MAX_LAYERS
     for _ in range(_CUTS):  # more layers reflect more, so that more must be absorbed

@@ -64,16 +64,16 @@ class Traffic:
         for name in ("bumper_east", "bumper_north", "angle"):
             values = getattr(self, name)
             if values.shape != (samples,):
-                raise ValueError(f"`{name}` must hold {samples} samples, got {values.shape}")
+                raise ValueError(f"`{name}` must hold {samples} samples; got {values.shape}.")
             if not np.isfinite(values).all():
                 raise ValueError(
-                    f"`{name}` must be finite, got {int((~np.isfinite(values)).sum())} that are not"
+                    f"`{name}` must be finite; got {int((~np.isfinite(values)).sum())} that are not."
                 )
         if self.count.size and (self.count.min() < 1 or (self.first + self.count).max() > self.steps):
-            raise ValueError(f"`count` must keep every vehicle within {self.steps} steps, got one beyond")
+            raise ValueError(f"`count` must keep every vehicle within {self.steps} steps; got one beyond.")
         if self.model.size and not 0 <= self.model.min() <= self.model.max() < len(VEHICLE_CLASSES):
             raise ValueError(
-                f"`model` must index the {len(VEHICLE_CLASSES)} vehicle models, got {self.model.max()}"
+                f"`model` must index the {len(VEHICLE_CLASSES)} vehicle models; got {self.model.max()}."
             )
 
     def shift(self, east_m: float, north_m: float) -> "Traffic":
@@ -136,7 +136,7 @@ class Traffic:
         position = time_s / self.step_s
         if not -1e-5 <= position <= self.steps - 1 + 1e-5:  # a part of a step: rounding of the clock
             raise ValueError(
-                f"`time_s` must lie within the recorded traffic, 0 to {self.duration_s:g} s, got {time_s:g}"
+                f"`time_s` must lie within the recorded traffic, 0 to {self.duration_s:g} s; got {time_s:g}."
             )
         position = min(max(position, 0.0), self.steps - 1.0)
         ids = np.flatnonzero((self.first <= position) & (position <= self.first + self.count - 1))
@@ -253,10 +253,10 @@ def read_recording(path: Path) -> Recording:
         file = xr.load_dataset(path, engine="h5netcdf", decode_cf=False)
         if file.attrs.get("format") != FORMAT:
             came = file.attrs.get("format")
-            raise ValueError(f"`{path.name}` must be a recording of format {FORMAT}, got {came}")
+            raise ValueError(f"`{path.name}` must be a recording of format {FORMAT}; got {came}.")
         step_s, steps = (float(np.asarray(file.attrs[name])) for name in ("step_s", "steps"))
         if not (step_s > 0 and 1 <= steps < 1e9):
-            raise ValueError(f"`step_s` and `steps` must be greater than 0, got {step_s:g} and {steps:g}")
+            raise ValueError(f"`step_s` and `steps` must be greater than 0; got {step_s:g} and {steps:g}.")
         tables = {str(name): variable.values for name, variable in file.variables.items()}
         edges, types = (str(file[key].attrs["names"]) for key in ("lane_edge", "lane_type"))
         network = _network(tables, edges.split(" "), types.split(";"))
@@ -273,7 +273,7 @@ def read_recording(path: Path) -> Recording:
             angle=_sums(tables["angle"], count) * _ANGLE_UNIT_RAD,
         )
     except (OSError, LookupError, TypeError, AttributeError, RuntimeError, OverflowError) as error:
-        raise ValueError(f"`{path.name}` must be a whole recording, got {error!r}") from error
+        raise ValueError(f"`{path.name}` must be a whole recording; got {error!r}.") from error
     return Recording(network, traffic)
 
 

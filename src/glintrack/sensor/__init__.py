@@ -3,8 +3,8 @@
 from glintrack.sensor.demosaicking import boost, demosaic
 from glintrack.sensor.design import OpticsDesign, SensorDesign, design_keys, design_names
 from glintrack.sensor.exposure import (
+    array_readout,
     depolarize,
-    detector_readout,
     expose,
     frame_of,
     light_on_elements,
@@ -33,13 +33,13 @@ __all__ = [
     "RawDesign",
     "Sensor",
     "SensorDesign",
+    "array_readout",
     "boost",
     "build_sensor",
     "demosaic",
     "depolarize",
     "design_keys",
     "design_names",
-    "detector_readout",
     "expose",
     "fill_dark_mirrors",
     "frame_of",

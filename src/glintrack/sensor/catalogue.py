@@ -38,7 +38,7 @@ def find_item(kind: Literal["detectors", "lenses"], name: str) -> CatalogueItem:
     items, option = read_catalogue(kind), "--lens" if kind == "lenses" else "--sensor"
     if name not in items:
         hint = suggest_name(name, items)
-        raise ValueError(f"`{option}` must be one of `glintrack sensor list`, got {name!r} ({hint})")
+        raise ValueError(f"`{option}` must be one of `glintrack sensor list`; got {name!r}. {hint}")
     return items[name]
 
 

@@ -239,5 +239,5 @@ def polarizer_centroid(layout: Superpixel, method: str) -> Float[Array, "2"]:
 def boost(degree: Float[Array, "..."], factor: float = PAPER_BOOST) -> Float[Array, "..."]:
     """DoLP multiplied for contrast and cut off at 1, as in the paper's Fig. 13(b). [1]"""
     if not factor > 0:
-        raise ValueError(f"`factor` must be positive, got {factor}")
+        raise ValueError(f"`factor` must be positive; got {factor}.")
     return np.minimum(factor * np.asarray(degree), 1.0)

@@ -93,7 +93,7 @@ def integration_time(known: Mapping[str, Any]) -> float:
         * _relative_signal(_band_um(known), efficiency)
     )
     time_ms = _EXPOSURE_MS * (known["full_well_e"] / _FULL_WELL_E) / max(light, 1e-9)
-    return _rounded(min(time_ms, MAX_EXPOSURE_MS, 0.9e3 / known["clock_hz"]))
+    return _rounded(min(time_ms, MAX_EXPOSURE_MS, 0.9e3 / known["max_frame_rate_hz"]))
 
 
 def am15g_light(wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "wavelength"]:

@@ -34,7 +34,7 @@ class OpticsDesign(Design):
     """
 
     obscuration: float = Field(default=0.0, ge=0, le=1, description="Diameter of the blocked centre")
-    defocus_um: float = Field(default=0.0, ge=-5000, le=5000, description="Detector behind best focus")
+    defocus_um: float = Field(default=0.0, ge=-5000, le=5000, description="Detector array behind best focus")
     zernike_rms_nm: dict[int, Rms] = Field(default={})
     """Noll's index (4 defocus, 5-6 astigmatism, 7-8 coma, 11 spherical) to RMS."""
     scatter_fraction: float = Field(default=0.0, ge=0, lt=1, description="Light scattered into the wings")
@@ -54,22 +54,22 @@ class OpticsDesign(Design):
     def _check_light_and_terms(self) -> Self:
         if self.obscuration >= 1:
             raise ValueError(
-                f"`sensor.optics.obscuration` must leave part of the pupil open, got {self.obscuration}"
+                f"`sensor.optics.obscuration` must leave part of the pupil open; got {self.obscuration}."
             )
         nodes = [node for row in self.field_zernikes_rms_nm for node in row]
         unknown = [index for node in (self.zernike_rms_nm, *nodes) for index in node if not 2 <= index <= 37]
         if unknown:
-            raise ValueError(f"`sensor.optics.zernike_rms_nm` must have keys 2 to 37, got {unknown[0]}")
+            raise ValueError(f"`sensor.optics.zernike_rms_nm` must have keys 2 to 37; got {unknown[0]}.")
         sizes = {len(row) for row in self.field_zernikes_rms_nm}
         if nodes and (len(sizes) != 1 or min(*sizes, len(self.field_zernikes_rms_nm), 9) < 2):
             raise ValueError(
-                "`sensor.optics.field_zernikes_rms_nm` must be a matrix of two rows and columns at least, "
-                f"got rows of {sorted(sizes)}"
+                "`sensor.optics.field_zernikes_rms_nm` must be a matrix of two rows and columns at least; "
+                f"got rows of {sorted(sizes)}."
             )
         if self.lens and (nodes or self.distortion != Distortion() or self.vignetting):
             raise ValueError(
                 "`sensor.optics.lens` must not be given with field_zernikes_rms_nm, distortion or "
-                f"vignetting, which it sets, got {self.lens}"
+                f"vignetting, which it sets; got {self.lens}."
             )
         return self
 
@@ -144,7 +144,7 @@ class SensorDesign(Design):
     """Standard deviation of a Gaussian blur for all aberrations not given as Zernike terms; derived."""
     full_well_e: float = Field(default_factory=derive.full_well, gt=0, le=1e12)
     """Electrons an element can hold; derived."""
-    clock_hz: float = Field(default=10.0, gt=0, le=1e4, description="Highest frame rate of the sensor")
+    max_frame_rate_hz: float = Field(default=10.0, gt=0, le=1e4, description="Highest readout rate of frames")
     integration_time_ms: float = Field(default_factory=derive.integration_time, gt=0, le=1000)
     """Exposure of a frame; derived: white paint in sunlight half fills the well."""
     auto_exposure: AutoExposure = AutoExposure()
@@ -195,21 +195,21 @@ class SensorDesign(Design):
             if getattr(self, name) % side:
                 raise ValueError(
                     f"`sensor.{name}` must be {'even' if side == 2 else f'a multiple of {side}'} "
-                    f"({side}×{side} superpixels), got {getattr(self, name)}"
+                    f"({side}×{side} superpixels); got {getattr(self, name)}."
                 )
         check_demosaicker(self.demosaic, self.superpixel)
         check_band("sensor.band_um", *self.band_um)
         check_band("sensor.spectrometer_um", *self.spectrometer_um)
         if not isinstance(self.quantum_efficiency, str) and not 0 < self.quantum_efficiency <= 1:
             raise ValueError(
-                f"`sensor.quantum_efficiency` must be above 0 and at most 1, got {self.quantum_efficiency}"
+                f"`sensor.quantum_efficiency` must be above 0 and at most 1; got {self.quantum_efficiency}."
             )
         return self
 
     @model_validator(mode="after")
     def _check_times_and_filling(self) -> Self:
         """Check that exposures fit into a frame, and that dark mirrors can be filled."""
-        frame_ms = 1e3 / self.clock_hz
+        frame_ms = 1e3 / self.max_frame_rate_hz
         times_ms = {
             "integration_time_ms": self.integration_time_ms,
             "spectrometer_integration_time_ms": self.has_mirror * self.spectrometer_integration_time_ms,
@@ -218,14 +218,14 @@ class SensorDesign(Design):
         for name, time_ms in times_ms.items():
             if time_ms > frame_ms:
                 raise ValueError(
-                    f"`sensor.{name}` must end within a frame's {frame_ms:g} ms (see clock_hz), "
-                    f"got {time_ms:g}"
+                    f"`sensor.{name}` must end within a frame's {frame_ms:g} ms (see max_frame_rate_hz); "
+                    f"got {time_ms:g}."
                 )
         exposure_ms = max(self.longest_integration_time_ms, self.spectrometer_integration_time_ms)
         if self.has_mirror and self.mirror_settling_ms + exposure_ms > frame_ms:
             raise ValueError(
                 f"`sensor.mirror_settling_ms` must leave the {exposure_ms:g} ms of exposure of a frame's "
-                f"{frame_ms:g} ms (see clock_hz), got {self.mirror_settling_ms:g}"
+                f"{frame_ms:g} ms (see max_frame_rate_hz); got {self.mirror_settling_ms:g}."
             )
         first, last = self.spectrometer_um
         if self.fill_dark_mirrors == "spectrum" and not (
@@ -233,12 +233,12 @@ class SensorDesign(Design):
         ):
             raise ValueError(
                 "`sensor.fill_dark_mirrors` must not be 'spectrum' where the spectrometer does not span the "
-                f"pan band, got spectrometer_um = {self.spectrometer_um} and band_um = {self.band_um}"
+                f"pan band; got spectrometer_um = {self.spectrometer_um} and band_um = {self.band_um}."
             )
         if self.fill_dark_mirrors == "polarizers" and not self.has_stokes:
             raise ValueError(
-                "`sensor.fill_dark_mirrors` must not be 'polarizers' without polarizers, "
-                f"got layout {self.layout!r}"
+                "`sensor.fill_dark_mirrors` must not be 'polarizers' without polarizers; "
+                f"got layout {self.layout!r}."
             )
         return self
 
@@ -344,5 +344,5 @@ def design_keys(name: str) -> dict[str, Any]:
         If there is none of that name.
     """
     if name not in design_names():
-        raise ValueError(f"`sensor.ready` must be one of {', '.join(design_names())}, got {name!r}")
+        raise ValueError(f"`sensor.ready` must be one of {', '.join(design_names())}; got {name!r}.")
     return tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""From light on the elements to a frame: lens, detector, calibration to radiance, Stokes vectors.
+"""From light on the elements to a frame: lens, detector array, calibration to radiance, Stokes vectors.
 
 Shot, dark and read noise, full well, gain, quantizer and fixed pattern follow the lens. The
 instantaneous-field-of-view error of the mosaic comes only from the elements' different rays. Each block of
@@ -52,13 +52,13 @@ def expose(
     Schema ``frame``; pan is NaN where the mirror fed the spectrometer. Without a mirror or an open element
     pan is S0; without polarizers S0 is pan, and S1 and S2 are NaN.
     """
-    return frame_of(detector_readout(radiance(sensor.channels).values, sensor, rng), sensor, served, time_s)
+    return frame_of(array_readout(radiance(sensor.channels).values, sensor, rng), sensor, served, time_s)
 
 
 def frame_of(
     measured: Float[Array, "row column"], sensor: Sensor, served: ServedQueries, time_s: float = 0.0
 ) -> xr.Dataset:
-    """Compute a frame from the readings of `detector_readout`; the rest as in `expose`."""
+    """Compute a frame from the readings of `array_readout`; the rest as in `expose`."""
     side, layout = sensor.side, sensor.design.superpixel
     place = sensor.pan_element
     pan = None
@@ -78,7 +78,7 @@ def frame_of(
     return check(label_frame(pan, stokes, layout, sensor.design.demosaic, about), "frame")
 
 
-def detector_readout(light: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
+def array_readout(light: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
     """Compute readings from light (y, x, channel, stokes): `light_on_elements`, then `read_out`."""
     return read_out(light_on_elements(light, sensor), sensor, rng)
 
@@ -99,7 +99,7 @@ def light_on_elements(light: Array, sensor: Sensor) -> Float[Array, "plane row c
     if light.shape != expected:
         raise ValueError(
             f"`radiance` must give a frame of {expected} (the design's elements, or whole cells "
-            f"of each), got {light.shape}"
+            f"of each); got {light.shape}."
         )
     planes = np.stack([light[:, :, channel, component] for channel, component in sensor.planes])
     if sensor.design.optics.depolarizer:
@@ -253,7 +253,7 @@ def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: Serv
     Parameters
     ----------
     measured
-        From `detector_readout`. [W m⁻² sr⁻¹ µm⁻¹]
+        From `array_readout`. [W m⁻² sr⁻¹ µm⁻¹]
     served
         Mirrors that fed the spectrometer in this frame: their elements have no reading.
 

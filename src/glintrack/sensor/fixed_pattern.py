@@ -26,7 +26,7 @@ class Departure:
 def chief_rays(design: SensorDesign) -> tuple[Float[Array, "row column"], Float[Array, "row column"]]:
     """Angle of incidence of each element's chief ray, and the azimuth of its plane from the detector's +x.
 
-    With focal length f and an exit pupil at f before the detector their angle is arctan(r/f). [rad]
+    With focal length f and an exit pupil at f before the detector array their angle is arctan(r/f). [rad]
     """
     rows, columns = (np.arange(n) - (n - 1) / 2 for n in (design.rows, design.columns))
     right, up = columns[None] * design.pitch_um, -rows[:, None] * design.pitch_um

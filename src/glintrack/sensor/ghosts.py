@@ -2,7 +2,7 @@
 
 Every pair of surfaces that may reflect is unfolded into a prescription of its own. The rays of the lens are
 traced through it: forward to the later surface, back to the earlier one, forward to the image. The later
-surface may be the detector, the earlier one the object. This is the two-reflection part of the paper's
+surface may be the detector array, the earlier one the object. This is the two-reflection part of the paper's
 stray-light program (§3.2); scatter, edges and mounts need non-sequential tracing.
 """
 
@@ -67,7 +67,7 @@ def ghosts(
     wavelength_um
         The middle one of the prescription by default. [µm]
     image_reflectance, object_reflectance
-        Reflectance of the detector, and of the object plane. [1]
+        Reflectance of the detector array, and of the object plane. [1]
     rays
         Number of rays of each path, evenly over the pupil.
 
@@ -158,8 +158,8 @@ def with_window(
     last = lens.surfaces[-1]
     before_mm = abs(last.thickness_mm)
     unfit = (
-        f"`window` must fit into the {before_mm:g} mm before the image, "
-        f"got {thickness_mm:g} mm and a gap of {gap_mm:g} mm"
+        f"`window` must fit into the {before_mm:g} mm before the image; "
+        f"got {thickness_mm:g} mm and a gap of {gap_mm:g} mm."
     )
     if not (0 < thickness_mm <= _MAX_INDEX * before_mm and 0 <= gap_mm <= before_mm):
         raise ValueError(unfit)

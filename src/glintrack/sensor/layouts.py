@@ -40,22 +40,22 @@ def superpixel(layout: str | Superpixel, name: str = "sensor.layout") -> Superpi
     """
     if isinstance(layout, str):
         if layout not in LAYOUTS:
-            raise ValueError(f"`{name}` must be one of {', '.join(LAYOUTS)} or a matrix, got {layout!r}")
+            raise ValueError(f"`{name}` must be one of {', '.join(LAYOUTS)} or a matrix; got {layout!r}.")
         return LAYOUTS[layout]
     sides = {len(layout), *(len(row) for row in layout)}
     if len(sides) != 1 or not 1 <= len(layout) <= LARGEST:
         raise ValueError(
-            f"`{name}` must be square, 1 to {LARGEST} elements a side, "
-            f"got rows of {[len(row) for row in layout]}"
+            f"`{name}` must be square, 1 to {LARGEST} elements a side; "
+            f"got rows of {[len(row) for row in layout]}."
         )
     kinds = [what for row in layout for what in row]
     strange = [w for w in kinds if w not in (MIRROR, OPEN) and not isinstance(w, float | int)]
     if strange or not all(math.isfinite(w) for w in kinds if not isinstance(w, str)):
         raise ValueError(
-            f"`{name}` must hold {MIRROR!r}, {OPEN!r} or angles in degrees, got {strange or kinds}"
+            f"`{name}` must hold {MIRROR!r}, {OPEN!r} or angles in degrees; got {strange or kinds}."
         )
     if kinds.count(MIRROR) > 1:
-        raise ValueError(f"`{name}` must hold one mirror at most, got {kinds.count(MIRROR)}")
+        raise ValueError(f"`{name}` must hold one mirror at most; got {kinds.count(MIRROR)}.")
     return tuple(tuple(w if isinstance(w, str) else float(w) for w in row) for row in layout)
 
 
@@ -70,8 +70,8 @@ def check_demosaicker(method: str, layout: Superpixel, name: str = "sensor.demos
     side = len(layout)
     if method == "eari" and side != 2 and places(layout, "polarizer"):
         raise ValueError(
-            f"`{name}` must be superpixel, bilinear or ppid for superpixels of {side} × {side}, got 'eari' "
-            "(it weighs the four elements of 2 × 2)"
+            f"`{name}` must be superpixel, bilinear or ppid for superpixels of {side} × {side}; got "
+            "'eari', which needs 2 × 2."
         )
 
 
@@ -123,9 +123,9 @@ def invert(matrix: Float[Array, "polarizer 3"], name: str = "sensor.layout") -> 
     number = condition_number(matrix)
     if not number <= LARGEST_CONDITION:
         raise ValueError(
-            f"`{name}` must hold polarizers that determine S0, S1 and S2, got a condition number of "
-            f"{number:.3g} (at most {LARGEST_CONDITION:g}; take three different angles and polarizers that "
-            "diattenuate in the band)"
+            f"`{name}` must hold polarizers that determine S0, S1 and S2; got a condition number of "
+            f"{number:.3g}, more than {LARGEST_CONDITION:g}. Take three angles, and polarizers that "
+            "diattenuate in the band."
         )
     return np.linalg.pinv(matrix)
 

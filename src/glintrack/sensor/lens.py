@@ -68,7 +68,7 @@ class LensDesign(Design):
     def _one_stop(self) -> Self:
         stops = sum(surface.stop for surface in self.surfaces)
         if stops != 1:
-            raise ValueError(f"`lens.surfaces` must have one stop, got {stops}")
+            raise ValueError(f"`lens.surfaces` must have one stop; got {stops}.")
         return self
 
 
@@ -89,7 +89,7 @@ def read_lens(name: str) -> LensDesign:
     if name not in lens_names():
         if not is_file(Path(name)):
             known = ", ".join(lens_names())
-            raise ValueError(f"`lens` must be one of {known} or a readable TOML file, got {name}")
+            raise ValueError(f"`lens` must be one of {known} or a readable TOML file; got {name}.")
         return validate_design(LensDesign, read_toml(name, "lens"))
     packaged = resources.files("glintrack") / "data" / "lenses" / f"{name}.toml"
     return validate_design(LensDesign, tomllib.loads(packaged.read_text(encoding="utf-8")))
@@ -129,8 +129,8 @@ def build_optic(lens: LensDesign) -> Any:
         except ValueError as error:  # a glass that is not in its catalogues
             hint = "".join(str(error).partition("Did you mean")[1:]) or str(error)
             raise ValueError(
-                f"`surfaces.{index - 1}.material` must be air, mirror or a glass of the catalogues, got "
-                f"{surface.material!r} ({plain(hint)})"
+                f"`surfaces.{index - 1}.material` must be air, mirror or a glass of the catalogues; got "
+                f"{surface.material!r}. {plain(hint)}"
             ) from error
     optic.surfaces.add(index=len(lens.surfaces) + 1)
     optic.set_aperture("objectNA", 0.5 / lens.f_number)
@@ -265,13 +265,13 @@ def with_lens(design: SensorDesign) -> SensorDesign:
     found = abs(magnification) * lens.f_number
     if abs(found / design.f_number - 1) > _F_NUMBER_ERROR:
         raise ValueError(
-            f"`sensor.f_number` must be the lens's, {found:.2f} on the image's side of {lens.name}, "
-            f"got {design.f_number:g}"
+            f"`sensor.f_number` must be the lens's, {found:.2f} on the image's side of {lens.name}; "
+            f"got {design.f_number:g}."
         )
     places, _, passed = image_of(lens, objects.reshape(-1, 2), wavelength_um)
     if not np.isfinite(places).all():
         raise ValueError(
-            f"`sensor.optics.lens` must image the whole array, got no light in a part by {lens.name}"
+            f"`sensor.optics.lens` must image the whole array; got no light in a part by {lens.name}."
         )
     errors_nm = 1e3 * path_errors_um(lens, objects.reshape(-1, 2), wavelength_um)
     # prescriptions count the path's error the other way round
@@ -312,8 +312,8 @@ def _objects(
     if (reach > allowed).any():
         width, height = 2 * allowed * abs(magnification)
         raise ValueError(
-            f"`sensor.optics.lens` must reach the array's corners, got {lens.name} for {width:.1f} × "
-            f"{height:.1f} mm and an array of {2 * half[0]:.1f} × {2 * half[1]:.1f} mm"
+            f"`sensor.optics.lens` must reach the array's corners; got {lens.name} for {width:.1f} × "
+            f"{height:.1f} mm and an array of {2 * half[0]:.1f} × {2 * half[1]:.1f} mm."
         )
     nodes = np.linspace(-1, 1, FIELD_NODES)
     right, up = np.meshgrid(nodes * half[0], -nodes * half[1])

@@ -200,8 +200,8 @@ def _separate(kernels: Array) -> tuple[Array, Array, Array]:
     left_out = np.cumsum([term[0] ** 2 for term in terms[:0:-1]])[::-1]  # after so many terms
     kept = terms[: 1 + int(np.count_nonzero(left_out > RANK_ERROR**2 * (size**2).sum()))]
     downs, acrosses, strengths = (np.stack([term[k] for term in kept]) for k in (1, 2, 3))
-    wanted = kernels.sum(axis=(-2, -1)).ravel()
-    strengths = strengths.T * (wanted / (strengths.T @ (downs.sum(axis=1) * acrosses.sum(axis=1))))[:, None]
+    energy = kernels.sum(axis=(-2, -1)).ravel()
+    strengths = strengths.T * (energy / (strengths.T @ (downs.sum(axis=1) * acrosses.sum(axis=1))))[:, None]
     strengths = strengths.reshape(*nodes, -1)
     return downs.astype(np.float32), acrosses.astype(np.float32), strengths.astype(np.float32)
 

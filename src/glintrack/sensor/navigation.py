@@ -101,7 +101,7 @@ def navigation_errors(
     """
     times_s = np.asarray(times_s, dtype=float)
     if len(rngs) != len(times_s):
-        raise ValueError(f"`rngs` must hold one generator a frame, got {len(rngs)} for {len(times_s)}")
+        raise ValueError(f"`rngs` must hold one generator a frame; got {len(rngs)} for {len(times_s)}.")
     normal = np.array([rng.standard_normal(12) for rng in rngs]).reshape(-1, 12)
     phase = np.array([rng.uniform(0, 2 * math.pi, 6) for rng in rngs]).reshape(-1, 6)
     white = pose_rms(design.position_rms_m, design.roll_pitch_rms_deg, design.heading_rms_deg)

@@ -1,6 +1,6 @@
-"""Polarizers over the elements: Mueller matrices over wavelength, and the row of them a detector sees.
+"""Polarizers over the elements: Mueller matrices over wavelength, and the row of them an element sees.
 
-A detector counts photons whatever their polarization, so that of a polarizer's Mueller matrix only the first
+An element counts photons of any polarization, so that of a polarizer's Mueller matrix only the first
 row reaches a frame: light S makes row · S, Eqs. (8)–(9). A polarizer turned by θ has the row of its own axes
 times the rotation R(θ).
 """
@@ -152,14 +152,14 @@ def from_table(table: xr.Dataset, name: str = "the table") -> Polarizer:
         source = f"{column}_per_aperture" if share == 1 else column
         if source not in table or table[source].dims != ("wavelength",):
             raise ValueError(
-                f"`sensor.polarizer` must hold mueller_per_aperture, or {column} over wavelength, got "
-                f"{sorted(map(str, table))} in {name}"
+                f"`sensor.polarizer` must hold mueller_per_aperture, or {column} over wavelength; got "
+                f"{sorted(map(str, table))} in {name}."
             )
         values = np.asarray(table[source].values, dtype=float)
         if not (np.isfinite(values).all() and values.min() >= 0 and values.max() <= LARGEST_TRANSMITTANCE):
             raise ValueError(
-                f"`sensor.polarizer` must have {source} within 0 to {LARGEST_TRANSMITTANCE:g}, "
-                f"got others in {name}"
+                f"`sensor.polarizer` must have {source} within 0 to {LARGEST_TRANSMITTANCE:g}; "
+                f"got others in {name}."
             )
         columns.append(values / share)
     return from_transmittances(table["wavelength"].values.astype(float), *columns)
@@ -169,10 +169,10 @@ def _check_axis(table: xr.Dataset, axis: str, largest: float, name: str) -> None
     """Refuse a coordinate that is missing, not of finite numbers, or does not rise."""
     values = table[axis].values if axis in table.coords else np.empty(0)
     if values.dtype.kind not in "fiu" or values.size < 1:
-        raise ValueError(f"`sensor.polarizer` must have a coordinate {axis} of numbers, got none in {name}")
+        raise ValueError(f"`sensor.polarizer` must have a coordinate {axis} of numbers; got none in {name}.")
     if not ((values >= 0) & (values <= largest)).all() or (np.diff(values.astype(float)) <= 0).any():
         raise ValueError(
-            f"`sensor.polarizer` must have {axis} rising within 0 to {largest:.3g}, got others in {name}"
+            f"`sensor.polarizer` must have {axis} rising within 0 to {largest:.3g}; got others in {name}."
         )
 
 
@@ -184,20 +184,20 @@ def _of_matrices(table: xr.Dataset, name: str) -> Polarizer:
     order = (*(("incidence",) if slanted else ()), "wavelength", "stokes_out", "stokes_in")
     if set(source.dims) != set(order) or (source.sizes["stokes_out"], source.sizes["stokes_in"]) != (4, 4):
         raise ValueError(
-            "`sensor.polarizer` must have mueller_per_aperture of 4 × 4 over wavelength (and incidence), got "
-            f"{dict(source.sizes)} in {name}"
+            "`sensor.polarizer` must have mueller_per_aperture of 4 × 4 over wavelength (and incidence); got "
+            f"{dict(source.sizes)} in {name}."
         )
     matrices = np.asarray(source.transpose(*order).values, dtype=float)
     matrices = matrices if slanted else matrices[None]
     row = matrices[..., 0, :]
     if not np.isfinite(matrices).all() or row[..., 0].max() > LARGEST_TRANSMITTANCE:
         raise ValueError(
-            f"`sensor.polarizer` must transmit 0 to {LARGEST_TRANSMITTANCE:g} of light, got others in {name}"
+            f"`sensor.polarizer` must transmit 0 to {LARGEST_TRANSMITTANCE:g} of light; got others in {name}."
         )
     if (np.linalg.norm(row[..., 1:], axis=-1) > row[..., 0] * (1 + 1e-9) + 1e-12).any():
         raise ValueError(
-            "`sensor.polarizer` must pass no less than nothing of any light, got a first row of "
-            f"mueller_per_aperture whose polarized part exceeds its first element in {name}"
+            "`sensor.polarizer` must pass no less than nothing of any light; got a first row of "
+            f"mueller_per_aperture whose polarized part exceeds its first element in {name}."
         )
     angles = table["incidence"].values.astype(float) if slanted else np.zeros(1)
     return Polarizer(table["wavelength"].values.astype(float), matrices, angles)
@@ -240,5 +240,5 @@ def load_polarizer(design: SensorDesign) -> Polarizer:
     if name in MODELS:
         return MODELS[name](design)
     if not is_file(Path(name)):
-        raise ValueError(f"`sensor.polarizer` must be {', '.join(MODELS)} or a NetCDF file, got {name!r}")
+        raise ValueError(f"`sensor.polarizer` must be {', '.join(MODELS)} or a NetCDF file; got {name!r}.")
     return from_table(read_dataset(Path(name), "sensor.polarizer"), name)

@@ -52,8 +52,8 @@ class RawDesign(Design):
     def _white_above_black(self) -> Self:
         if self.white_level is not None and self.white_level <= self.black_level:
             raise ValueError(
-                f"`white_level` must be above black_level, {self.black_level:g} counts, got "
-                f"{self.white_level:g}"
+                f"`white_level` must be above black_level, {self.black_level:g} counts; got "
+                f"{self.white_level:g}."
             )
         return self
 
@@ -85,26 +85,26 @@ def read_analysers(path: str | Path) -> Analysers:
     table = read_dataset(Path(path), "calibration")
     if "analyser" not in table or table["analyser"].dims != ("y", "x", "stokes"):
         raise ValueError(
-            "`calibration` must hold analyser over y, x, stokes, got "
-            f"{ {str(n): v.dims for n, v in table.data_vars.items()} } in {path}"
+            "`calibration` must hold analyser over y, x, stokes; got "
+            f"{ {str(n): v.dims for n, v in table.data_vars.items()} } in {path}."
         )
     columns = {}
     for name in {"analyser", "dark"} & set(table):
         if table[name].dtype.kind not in "fiu":
-            raise ValueError(f"`calibration` must hold numbers, got {table[name].dtype} in {path}")
+            raise ValueError(f"`calibration` must hold numbers; got {table[name].dtype} in {path}.")
         columns[name] = table[name].values.astype(np.float64)
     row, dark = columns["analyser"], columns.get("dark")
     if row.shape[-1] != 3 or row.size == 0:
-        raise ValueError(f"`calibration` must give I, Q and U of each element, got {row.shape} in {path}")
+        raise ValueError(f"`calibration` must give I, Q and U of each element; got {row.shape} in {path}.")
     polarized = np.hypot(row[..., 1], row[..., 2])
     if np.isinf(row).any() or (row[..., 0] <= 0).any() or (polarized > 1.5 * row[..., 0]).any():
         raise ValueError(
             "`calibration` must have rows, or NaN, whose I is positive and not under two thirds of what is "
-            f"polarized, got others in {path}"
+            f"polarized; got others in {path}."
         )
     if dark is not None and (dark.shape != row.shape[:2] or not (np.abs(dark) <= 65535).all()):
         raise ValueError(
-            f"`calibration` must have dark counts within ±65535 of all elements, got others in {path}"
+            f"`calibration` must have dark counts within ±65535 of all elements; got others in {path}."
         )
     return Analysers(row, dark)
 
@@ -193,21 +193,21 @@ def _find_full(counts: Array, layout: layouts.Superpixel, design: RawDesign, nam
         if counts.shape[axis] % side or counts.shape[axis] < 2 * side:
             number = "even" if side == 2 else f"a multiple of {side}"
             raise ValueError(
-                f"`RAW` must have {number} {what}, {2 * side} at least ({side} × {side} superpixels), got "
-                f"{counts.shape[axis]} in {name} (crop it so that its first element is a superpixel's first)"
+                f"`RAW` must have {number} {what}, {2 * side} at least ({side} × {side} superpixels); got "
+                f"{counts.shape[axis]} in {name}. Crop it so that its first element is a superpixel's first."
             )
     white = white_level(counts) if design.white_level is None else design.white_level
     if white <= design.black_level:
         raise ValueError(
-            f"`black_level` must be below that of a full element, {white:g} counts, got "
-            f"{design.black_level:g} for {name}"
+            f"`black_level` must be below that of a full element, {white:g} counts; got "
+            f"{design.black_level:g} for {name}."
         )
     full = counts >= white
     share = float(full.mean())
     if share > design.max_saturated:
         raise ValueError(
             f"`RAW` must have at most {100 * design.max_saturated:g} % of its elements full, at "
-            f"{white:g} counts, got {100 * share:.3g} % in {name} (expose for less time, or allow more)"
+            f"{white:g} counts; got {100 * share:.3g} % in {name}. Expose for less time, or allow more."
         )
     return full
 
@@ -223,8 +223,8 @@ def _ideal_readings(
     if calibration.row.shape[:2] != counts.shape:
         of = " × ".join(map(str, calibration.row.shape[:2]))
         raise ValueError(
-            f"`calibration` must be of the raw's {counts.shape[0]} × {counts.shape[1]} elements, got {of} "
-            f"for {name}"
+            f"`calibration` must be of the raw's {counts.shape[0]} × {counts.shape[1]} elements; got {of} "
+            f"for {name}."
         )
     dark = design.black_level if calibration.dark is None else calibration.dark
     light = counts.astype(np.float64) - dark
@@ -258,8 +258,8 @@ def _superpixel_vectors(light: Array, row: Array, side: int) -> Float[Array, "y 
     if poor.any():
         y, x = np.argwhere(poor)[0]
         raise ValueError(
-            f"`calibration` must have rows that determine S0, S1 and S2 in every superpixel, got others in "
-            f"that of row {side * y}, column {side * x} (NaN for elements that are not to be used)"
+            f"`calibration` must have rows that determine S0, S1 and S2 in every superpixel; got others in "
+            f"that of row {side * y}, column {side * x}. Set elements that are not used to NaN."
         )
     right = np.einsum("yxks,yxk->yxs", safe, seen[..., 0])
     found = np.linalg.solve(normal, right[..., None])[..., 0]

@@ -141,7 +141,7 @@ def spectrometer_bands(
 ) -> tuple[Float[Array, "band"], Float[Array, "band wavelength"]]:
     """Centres of the spectrometer's bands, and their photon response on the grid.
 
-    A band is as wide as a detector pixel. A relay convolves it with the mirror's image, which is as wide: a
+    A band is as wide as an element. A relay convolves it with the mirror's image, which is as wide: a
     triangle with a full width at half maximum of one band.
     """
     start, stop = design.spectrometer_um
@@ -160,6 +160,6 @@ def spectrometer_bands(
 def _curve(name: str, column: str, wavelength_um: Array, key: str) -> Array:
     """Read a curve from a CSV file onto the grid."""
     if not Path(name).suffix:
-        raise ValueError(f"`{key}` must be a known name or a CSV file (NAME.csv), got {name!r}")
+        raise ValueError(f"`{key}` must be a known name or a CSV file (NAME.csv); got {name!r}.")
     table = read_spectra(name, key, {column: np.finfo(float).max if column == "radiance" else 1.0})
     return resample(wavelength_um, table["wavelength_um"], table[column], key)

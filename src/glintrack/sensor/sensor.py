@@ -157,7 +157,7 @@ def build_sensor(
         if low < wavelength_um[0] - 1e-9 or high > wavelength_um[-1] + 1e-9:
             raise ValueError(
                 f"`sensor.{name}` must lie within the atmosphere's {wavelength_um[0]:g} to "
-                f"{wavelength_um[-1]:g} µm, got {low:g} to {high:g}"
+                f"{wavelength_um[-1]:g} µm; got {low:g} to {high:g}."
             )
     design = with_lens(design)
     polarizer = load_polarizer(design) if polarizer is None else polarizer
@@ -174,8 +174,8 @@ def build_sensor(
     efficiency = np.interp(centres, wavelength_um, spectrometer_response(design, wavelength_um))
     if design.has_mirror and not np.all(efficiency > 0):
         raise ValueError(
-            "`sensor.spectrometer_um` must lie where the detector responds, got no response at "
-            f"{centres[efficiency <= 0][0]:g} µm (see quantum_efficiency)"
+            "`sensor.spectrometer_um` must lie where the elements respond; got no response at "
+            f"{centres[efficiency <= 0][0]:g} µm. Set it, or quantum_efficiency."
         )
     size, distortion = (design.rows, design.columns), design.optics.distortion
     slant = departure_at_incidence(design, polarizer, wavelength_um, elements["channels"][0])
@@ -203,7 +203,7 @@ def _sweep_electrons(design: SensorDesign, centres_um: Array, efficiency: Array)
         return None
     if len(centres_um) < 4:
         raise ValueError(
-            f"`sensor.spectrometer` must have four bands at least to sweep an etalon, got {len(centres_um)}"
+            f"`sensor.spectrometer` must have four bands at least to sweep an etalon; got {len(centres_um)}."
         )
     mirror = EtalonDesign(gap_count=ETALON_STEPS)
     gaps_um = mirror.gaps_um
@@ -219,7 +219,7 @@ def _elements(design: SensorDesign, polarizer: Polarizer, wavelength_um: Array) 
     light = reference_light(design, wavelength_um)
     mean = channels[0] @ light
     if not mean > 0:
-        raise ValueError("`sensor.reference_spectrum` must have light in the pan band, got none")
+        raise ValueError("`sensor.reference_spectrum` must have light in the pan band; got none.")
     own = []  # of the analyser row about the pass axis: channel and electrons of each component
     for curve in analyser_response(design, polarizer, wavelength_um) if design.has_stokes else ():
         if np.abs(curve).max() <= _NOTHING * bare.max():
@@ -241,7 +241,7 @@ def _elements(design: SensorDesign, polarizer: Polarizer, wavelength_um: Array) 
     for k, (channel, component) in enumerate(planes):
         known[..., component] += gains[..., k] * (channels[channel] @ light) / mean
     if not np.all(known[..., 0] > 0):
-        raise ValueError("`sensor.band_um` must hold light that the elements respond to, got none")
+        raise ValueError("`sensor.band_um` must hold light that the elements respond to; got none.")
     polarizers = places(design.superpixel, "polarizer")
     analysers = np.array([known[place] / known[place][0] for place in polarizers]).reshape(-1, 3)
     return {
@@ -259,8 +259,8 @@ def _rotate_row(own: list[tuple[int, float]], angle: float) -> dict[tuple[int, i
     (total, t), (along, q), (slanted, u) = own
     cos2, sin2, found = math.cos(angle), -math.sin(angle), {(total, 0): t}
     rotated = rotate_qu.py_func  # of a few numbers: not worth compiling
-    for channel, turned in ((along, rotated(q, 0.0, cos2, sin2)), (slanted, rotated(0.0, u, cos2, sin2))):
-        for component, gain in enumerate(turned, start=1):
+    for channel, parts in ((along, rotated(q, 0.0, cos2, sin2)), (slanted, rotated(0.0, u, cos2, sin2))):
+        for component, gain in enumerate(parts, start=1):
             found[channel, component] = found.get((channel, component), 0.0) + gain
     return found
 

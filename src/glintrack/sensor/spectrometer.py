@@ -1,6 +1,6 @@
 """The multi-object spectrometer: assignment of queries to micromirrors, and the spectra of served queries.
 
-One pixel per column: a mirror's spectrum is spread along its column of the spectrometer's detector, where it
+One pixel per column: a mirror's spectrum is spread along its column of the spectrometer's array, where it
 would overlap with a second one. Queries are served while a frame is exposed, and a mirror that serves is dark
 in pan. Alternatively the tracker queries detections of a frame, and mirrors switch for a second exposure of
 the same scene (`track.query_detections`). Where the mirrors are etalons, the pixel below each measures its

@@ -53,7 +53,7 @@ def pupil(
     inside = (square <= 1) & (square >= obscuration**2)
     amplitude = inside.reshape(samples, EDGE_SAMPLES, samples, EDGE_SAMPLES).mean(axis=(1, 3))
     if not amplitude.sum() > 0:
-        raise ValueError(f"`pupil` must pass light, got obscuration {obscuration}")
+        raise ValueError(f"`pupil` must pass light; got obscuration {obscuration}.")
     if error_um is None:
         error_um = wavefront_um(design, field, samples)
     return amplitude * np.exp(2j * math.pi * error_um / wavelength_um)
@@ -106,7 +106,7 @@ def wavefront_um(
     across_pupil = np.linspace(-1, 1, samples)
     x, y = np.meshgrid(across_pupil, across_pupil)
     r, t = np.hypot(x, y), np.arctan2(y, x)
-    # a detector behind focus by δ has the path error δ/(8N²) at the pupil's edge, and an RMS of 1/√12 of it
+    # an array behind focus by δ has the path error δ/(8N²) at the pupil's edge, and an RMS of 1/√12 of it
     added = Counter({_DEFOCUS: 1e3 * optics.defocus_um / (8 * design.f_number**2) / math.sqrt(12)})
     for node, share in _nodes_at(design, field):
         added.update({index: share * value for index, value in node.items()})
@@ -139,7 +139,7 @@ def _nodes_at(design: SensorDesign, field: tuple[float, float]) -> list[tuple[di
 def diffraction_pattern(
     design: SensorDesign, passing: Complex[Array, "p p"], wavelength_um: float, step_um: float, samples: int
 ) -> Float[Array, "s s"]:
-    """Point spread function of a pupil on the detector, without the Gaussian spot; its integral is 1.
+    """Point spread function of a pupil on the detector array, without the Gaussian spot; its integral is 1.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def modulation_transfer(
     design, wavelength_um, field
         As `pupil`.
     frequency_per_mm
-        Spatial frequency on the detector. [mm⁻¹]
+        Spatial frequency on the detector array. [mm⁻¹]
     direction
         ``"x"`` (along a row) or ``"y"``.
     element

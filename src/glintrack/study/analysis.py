@@ -1,4 +1,4 @@
-"""Analysis of a study: effects and interactions, Sobol indices, Pareto front, ROC, and a surrogate.
+"""Analysis of a study: effects and interactions, Sobol indices, Pareto front, FROC, and a surrogate.
 
 The surrogate of a sampled study is a quadratic response surface that predicts the score of a flight:
 
@@ -132,7 +132,9 @@ def sobol_indices(found: Units, axes: Sequence[str], rng: np.random.Generator) -
     width = len(axes) + 2
     y = np.nanmean(found.values, axis=1)
     if len(y) % width:
-        raise ValueError(f"`study` must have all its points finished for Sobol indices, got {len(y)} of them")
+        raise ValueError(
+            f"`study` must have all its points finished for Sobol indices; got {len(y)} of them."
+        )
     y = y.reshape(-1, width)
     y = y[np.isfinite(y).all(axis=1)]
     draws = np.concatenate([np.arange(len(y))[None], rng.integers(0, len(y), (DRAWS, len(y)))])
@@ -182,22 +184,22 @@ def labels(points: pd.DataFrame) -> list[str]:
     return [label or "base" for label in changes]
 
 
-def roc(
+def froc(
     table: pd.DataFrame, axes: Sequence[str], swept: str = "track.reporting.max_false_share"
 ) -> pd.DataFrame:
     """Completeness against false tracks over a threshold, one curve for each group of other levels.
 
     Returns
     -------
-    ``group``, ``channel``, the threshold, ``false_per_epoch``, ``completeness``, means over replicates,
+    ``group``, ``channel``, the threshold, ``false_per_frame``, ``completeness``, means over replicates,
     along each curve by rising threshold; empty if the study does not vary the threshold.
     """
     if swept not in axes:
-        return pd.DataFrame(columns=["group", "channel", swept, "false_per_epoch", "completeness"])
+        return pd.DataFrame(columns=["group", "channel", swept, "false_per_frame", "completeness"])
     done = table[table["status"] == "finished"].copy()
     others = [axis for axis in axes if axis != swept]
     done["group"] = [", ".join(f"{a} = {row[a]}" for a in others) for row in done.to_dict("records")]
-    scores = ["false_per_epoch", "completeness"]
+    scores = ["false_per_frame", "completeness"]
     return done.groupby(["group", "channel", swept], sort=True)[scores].mean().reset_index()
 
 

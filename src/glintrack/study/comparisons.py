@@ -39,8 +39,8 @@ def check_contrasts(design: StudyDesign, axes: Sequence[Axis]) -> None:
         for name, level in [*contrast.of.items(), *contrast.against.items()]:
             if level not in known.get(name, []):
                 raise ValueError(
-                    f"`contrasts of {contrast.label!r}` must name values of the study's axes, got {name} = "
-                    f"{level!r} (of {known.get(name) or sorted(known)})"
+                    f"`contrasts of {contrast.label!r}` must name values of the study's axes; got {name} = "
+                    f"{level!r}. Known: {known.get(name) or sorted(known)}."
                 )
 
 
@@ -55,7 +55,7 @@ def design_contrasts(design: Mapping[str, Any], axes: Sequence[str]) -> tuple[Co
     contrasts = tuple(validate_design(Contrast, one) for one in design.get("contrasts", ()))
     for contrast in contrasts:
         if unknown := set(contrast.of) - {CHANNEL, *axes}:
-            raise ValueError(f"`contrasts` must name axes of the study, got {sorted(unknown)}")
+            raise ValueError(f"`contrasts` must name axes of the study; got {sorted(unknown)}.")
     return contrasts
 
 

@@ -36,7 +36,7 @@ class Constraints(Design):
     duration_s: float | None = Field(
         default=None, gt=0, le=1e5, description="Frames follow the frame rate, for flights of one length"
     )
-    rate_is_clock: bool = Field(default=False, description="Every frame the clock gives is taken")
+    at_max_frame_rate: bool = Field(default=False, description="Fly at sensor.max_frame_rate_hz")
     constant_field: bool = Field(
         default=False,
         description="Rows and columns follow pitch and focal length, for one field, unless an axis sets them",
@@ -57,7 +57,7 @@ class Contrast(Design):
         levels = flat(side)
         for name, level in levels.items():
             if not isinstance(level, (bool, int, float, str)):
-                raise ValueError(f"`{name}` must be one value of its axis, got {level!r:.60}")
+                raise ValueError(f"`{name}` must be one value of its axis; got {level!r:.60}.")
         return levels
 
     @model_validator(mode="after")
@@ -65,8 +65,8 @@ class Contrast(Design):
         """Sides with different axes would have points without partners."""
         if set(self.of) != set(self.against) or CHANNEL not in self.of:
             raise ValueError(
-                f"`contrasts of {self.label!r}` must name `channel` and the same axes in `of` and `against`, "
-                f"got {sorted(self.of)} and {sorted(self.against)}"
+                f"`contrasts of {self.label!r}` must name `channel` and the same axes in `of` and `against`; "
+                f"got {sorted(self.of)} and {sorted(self.against)}."
             )
         return self
 
@@ -103,8 +103,8 @@ class StudyDesign(Design):
     def _tables(cls, given: Any) -> Any:
         if isinstance(given, int):
             raise ValueError(
-                f"`replicates` must be a list of tables, as [{{ seed = 1, scene.seed = 1 }}, …], got {given} "
-                "(`seeds = [1, 2]` for replicates that differ in noise alone)"
+                f"`replicates` must be a list of tables, as [{{ scene.seed = 1 }}, …]; got {given}. "
+                "For replicates that differ in noise alone, write seeds = [1, 2]."
             )
         return given
 
@@ -112,28 +112,28 @@ class StudyDesign(Design):
     def _check_design(self) -> Self:
         if (self.design == "list") != bool(self.cases) or (self.design == "list" and self.axes):
             raise ValueError(
-                "`cases` must be given with design = 'list' and only then, and `axes` with every other, got "
-                f"design = {self.design!r}, {len(self.cases)} cases and {len(self.axes)} axes"
+                "`cases` must be given with design = 'list' and only then, and `axes` with every other; got "
+                f"design = {self.design!r}, {len(self.cases)} cases and {len(self.axes)} axes."
             )
         if self.design != "list" and not self.axes:
-            raise ValueError(f"`axes` must name at least one key, got none with design = {self.design!r}")
+            raise ValueError(f"`axes` must name at least one key; got none with design = {self.design!r}.")
         if (self.design in SAMPLED) != (self.samples is not None):
             raise ValueError(
-                f"`samples` must be given with {', '.join(SAMPLED)} and only then, got "
-                f"{self.samples} with design = {self.design!r}"
+                f"`samples` must be given with {', '.join(SAMPLED)} and only then; got "
+                f"{self.samples} with design = {self.design!r}."
             )
         if self.design in POWERS_OF_TWO and self.samples and self.samples & (self.samples - 1):
             raise ValueError(
-                f"`samples` must be a power of two for Sobol's points, got {self.samples} "
-                f"(use {1 << (self.samples - 1).bit_length()})"
+                f"`samples` must be a power of two for Sobol's points; got {self.samples}. "
+                f"Use {1 << (self.samples - 1).bit_length()}."
             )
         if self.seeds and self.replicates:
-            raise ValueError("`seeds` must not be given together with `replicates`, got both")
+            raise ValueError("`seeds` must not be given together with `replicates`; got both.")
         known = flat(self.axes)
         for name in self.ranked_under:
             if name not in known:
                 raise ValueError(
-                    f"`ranked_under` must name axes of the study ({', '.join(known)}), got {name!r}"
+                    f"`ranked_under` must name axes of the study ({', '.join(known)}); got {name!r}."
                 )
         return self
 
@@ -157,8 +157,8 @@ def read_study(path: str | Path) -> StudyDesign:
     if _OF_CASES & set(values) and not {"axes", "case"} & set(values):
         named = Path(path).stem if Path(path).parent == PACKAGED_CASES else path
         raise ValueError(
-            f"`study` must be a study, got the case {named} (simulate it with glintrack run {named}; a study "
-            "names it as its `case`, and its variations under [axes])"
+            f"`study` must be a study; got the case {named}. Simulate it with glintrack run {named}; a study "
+            "names it as its `case`, and its variations under [axes]."
         )
     return validate_design(StudyDesign, {"name": Path(path).stem, **values})
 
@@ -239,7 +239,7 @@ def build_axes(design: StudyDesign) -> tuple[Axis, ...]:
     owner: dict[str, str] = {}
     for axis in axes:
         if axis.name in _COLUMNS:
-            raise ValueError(f"`axes` must not be named as a column of the results is, got `{axis.name}`")
+            raise ValueError(f"`axes` must not be named as a column of the results is; got `{axis.name}`.")
         for key in {key for _, keys in axis.ends for key in keys}:
             if key in owner:
                 raise ValueError(
@@ -248,7 +248,7 @@ def build_axes(design: StudyDesign) -> tuple[Axis, ...]:
             owner[key] = axis.name
         if axis.span is not None and design.design in ("one-at-a-time", "factorial"):
             raise ValueError(
-                f"`axes.{axis.name}` must be a list of values for design = {design.design!r}, got a range"
+                f"`axes.{axis.name}` must be a list of values for design = {design.design!r}; got a range."
             )
     return axes
 
@@ -261,16 +261,16 @@ def _axis(name: str, value: Any) -> Axis:
             raise ValueError(re.sub("^`", f"`axes.{name}.", str(error), flags=re.MULTILINE)) from error
         if not span.low < span.high or (span.log and span.low <= 0):
             raise ValueError(
-                f"`axes.{name}` must rise from `from` to `to`{', above 0' if span.log else ''}, got "
-                f"{span.low:g} to {span.high:g}"
+                f"`axes.{name}` must rise from `from` to `to`{', above 0' if span.log else ''}; got "
+                f"{span.low:g} to {span.high:g}."
             )
         return Axis(name, span=span)
     if not isinstance(value, list) or not value:
-        raise ValueError(f"`axes.{name}` must be a list of values or {{ from = …, to = … }}, got {value!r}")
+        raise ValueError(f"`axes.{name}` must be a list of values or {{ from = …, to = … }}; got {value!r}.")
     if all(isinstance(v, dict) for v in value):
         if any("label" not in v or len(v) < 2 for v in value):
             raise ValueError(
-                f"`axes.{name}` must give each table a `label` and keys of the case, got {value}"
+                f"`axes.{name}` must give each table a `label` and keys of the case; got {value}."
             )
         labels = tuple(str(v["label"]) for v in value)
         keys = tuple(flat({k: v for k, v in table.items() if k != "label"}) for table in value)
@@ -278,10 +278,10 @@ def _axis(name: str, value: Any) -> Axis:
         labels = tuple(v if isinstance(v, (bool, int, float, str)) else str(v) for v in value)
         kinds = {float if type(v) is int else type(v) for v in labels}
         if any(isinstance(v, dict) for v in value) or len(kinds) > 1:
-            raise ValueError(f"`axes.{name}` must hold values of one type, got {value}")
+            raise ValueError(f"`axes.{name}` must hold values of one type; got {value}.")
         keys = tuple({name: v} for v in value)
     if len(set(labels)) != len(labels):
-        raise ValueError(f"`axes.{name}` must hold each value once, got {list(labels)}")
+        raise ValueError(f"`axes.{name}` must hold each value once; got {list(labels)}.")
     return Axis(name, labels, keys)
 
 

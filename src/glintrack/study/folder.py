@@ -70,14 +70,14 @@ class StudyFolder:
             (self.path / "cases").mkdir(parents=True, exist_ok=True)
             lock = (self.path / ".lock").open("w")
         except OSError as error:
-            raise ValueError(f"`output` must be writable, got {self.path} ({error.strerror})") from error
+            raise ValueError(f"`output` must be writable; got {self.path}: {error.strerror}.") from error
         with lock:
             if fcntl is not None:
                 try:
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # freed by the system when a driver dies
                 except OSError as error:
                     raise ValueError(
-                        f"`output` must not be in use, got {self.path}, where another run writes"
+                        f"`output` must not be in use; got {self.path}, where another run writes."
                     ) from error
             for left in (self.path / "cases").glob(".*.partial"):
                 shutil.rmtree(left, ignore_errors=True)
@@ -105,26 +105,26 @@ class StudyFolder:
         if not self.path.exists():
             return
         if not self.path.is_dir():
-            raise ValueError(f"`output` must be a folder, got the file {self.path}")
+            raise ValueError(f"`output` must be a folder; got the file {self.path}.")
         names = {p.name for p in self.path.iterdir()} - {".lock", "cases"}
         if not names:
             return
         head = self.head()
         if head["glintrack"] != version("glintrack"):
             raise ValueError(
-                f"`output` must be of glintrack {version('glintrack')}, got {self.path} of glintrack "
-                f"{head['glintrack']} (choose another -o)"
+                f"`output` must be of glintrack {version('glintrack')}; got {self.path} of glintrack "
+                f"{head['glintrack']}. Choose another -o."
             )
         if head.get("source") != source_key():
             raise ValueError(
-                f"`output` must have results of the current source code, got {self.path} of other source of "
-                f"glintrack {head['glintrack']} or other versions of {', '.join(DECIDE_SCORES)} (choose "
-                "another -o, or go back; glintrack study report reads the folder as it is)"
+                f"`output` must have results of the current source code; got {self.path} of other source of "
+                f"glintrack {head['glintrack']} or other versions of {', '.join(DECIDE_SCORES)}. Choose "
+                "another -o, or go back; glintrack study report reads the folder as it is."
             )
         if head["study"] != plan.key:
             raise ValueError(
-                f"`output` must be new or of the same study, got {self.path} of another study, "
-                f"{head['name']!r} (choose another -o)"
+                f"`output` must be new or of the same study; got {self.path} of another study, "
+                f"{head['name']!r}. Choose another -o."
             )
 
     def head(self) -> dict[str, Any]:
@@ -142,12 +142,12 @@ class StudyFolder:
                 raise TypeError
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ValueError(
-                f"`result` must be the folder of a study, got {self.path} (for a new one choose another -o)"
+                f"`result` must be the folder of a study; got {self.path}. For a new study choose another -o."
             ) from error
         if head["format"] > FORMAT:
             raise ValueError(
-                f"`result` must be of format {FORMAT} or older, got {self.path} of format {head['format']} "
-                f"(made by glintrack {head['glintrack']}: update)"
+                f"`result` must be of format {FORMAT} or older; got {self.path} of format {head['format']}. "
+                f"Update to glintrack {head['glintrack']}."
             )
         return head
 
@@ -174,7 +174,7 @@ class StudyFolder:
     def cost(self, case_keys: Iterable[str]) -> dict[str, float]:
         """Finished ``flights``, their ``frames``, and their processor time ``cpu_s``. [1, s]"""
         done = [outcome for key in case_keys if (outcome := self.outcome(key)) is not None]
-        frames = sum(max(of.get("epochs", 0) for of in outcome["scores"].values()) for outcome in done)
+        frames = sum(max(of.get("frames", 0) for of in outcome["scores"].values()) for outcome in done)
         cpu_s = sum(outcome["cpu_seconds"] for outcome in done)
         return {"flights": len(done), "frames": int(frames), "cpu_s": cpu_s}
 
@@ -290,10 +290,10 @@ def read_results(path: str | Path) -> tuple[pd.DataFrame, dict[str, Any]]:
         table = arrow.to_pandas()
     except (OSError, KeyError, ValueError, RecursionError, pa.ArrowException) as error:
         raise ValueError(
-            f"`result` must hold {RESULTS}, got {folder.path} without a readable one (run the study first)"
+            f"`result` must hold {RESULTS}; got {folder.path} without a readable one. Run the study first."
         ) from error
     if fault := _find_fault(table, source):
-        raise ValueError(f"`{RESULTS}` must be a study's table, got {fault} in {folder.path}")
+        raise ValueError(f"`{RESULTS}` must be a study's table; got {fault} in {folder.path}.")
     return table, source
 
 

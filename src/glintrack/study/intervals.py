@@ -57,7 +57,7 @@ def units(table: pd.DataFrame, axes: Sequence[str], response: str, channel: str)
     """Score of one channel by point and unit; failed and missing cases are left out."""
     mine = table[(table["channel"] == channel) & (table["status"] == "finished")]
     if response not in mine:
-        raise ValueError(f"`response` must be a score of the study, got {response!r}")
+        raise ValueError(f"`response` must be a score of the study; got {response!r}.")
     replicates = sorted(set(table["replicate"]))
     order = {r: k for k, r in enumerate(replicates)}
     # points of one design row differ in the replicate only

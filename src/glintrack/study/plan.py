@@ -106,8 +106,8 @@ def read_plan(path: str | Path, allow_outside_paths: bool = False) -> Plan:
     inside = None if allow_outside_paths else (path.parent, PACKAGED_CASES)
     if inside is not None and not any(base.resolve().is_relative_to(one.resolve()) for one in inside):
         raise ValueError(
-            f"`case` must name a file in the study's folder or below, got {design.case} "
-            "(--allow-outside-paths allows others)"
+            f"`case` must name a file in the study's folder or below; got {design.case}. "
+            "--allow-outside-paths allows others."
         )
     return build_plan(design, base, inside)
 
@@ -142,10 +142,10 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
                 _build_case(_with_keys(values, keys, f"axes.{axis.name}"), rules, keys)
             except ValueError as error:
                 if "known key" in str(error) or not _depends_on_others(error):
-                    raise ValueError(f"{error} (axis `{axis.name}`, value {label!r})") from error
+                    raise ValueError(f"{error} This is value {label!r} of axis `{axis.name}`.") from error
     rows = _rows(design, axes)
     if len(rows) * len(design.replicate_keys) > MAX_CASES:
-        raise ValueError(f"`axes` must make at most {MAX_CASES} cases, got {len(rows)} points")
+        raise ValueError(f"`axes` must make at most {MAX_CASES} cases; got {len(rows)} points.")
     points, cases = [], {}
     for levels, keys in rows:
         for replicate, own in enumerate(design.replicate_keys):
@@ -154,7 +154,7 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
                 case = _build_case(table, rules, keys | flat(own))
             except ValueError as error:
                 where = ", ".join(f"{name} = {level}" for name, level in levels.items())
-                raise ValueError(f"{error} (in the case with {where or own})") from error
+                raise ValueError(f"{error} This is in the case with {where or own}.") from error
             key = case_key(case)
             cases.setdefault(key, case)
             points.append(Point(len(points), replicate, levels, key))
@@ -190,14 +190,14 @@ def _check_constraints(design: StudyDesign, axes: tuple[Axis, ...]) -> None:
     constrained = {
         "flight.altitude_m": limits.slant_range_m is not None,
         "flight.frames": limits.duration_s is not None,
-        "flight.rate_hz": limits.rate_is_clock,
+        "flight.rate_hz": limits.at_max_frame_rate,
     }
     given = {key for axis in axes for _, keys in axis.ends for key in keys}
     given |= {key for table in (*design.cases, *design.replicate_keys) for key in flat(table)}
     for key, is_set in constrained.items():
         if is_set and key in given:
             raise ValueError(
-                f"`{key}` must not be varied where a constraint sets it, got both (see constraints)"
+                f"`{key}` must not be varied where a constraint sets it; got both. Leave out one of them."
             )
 
 
@@ -206,14 +206,16 @@ def _with_keys(values: dict[str, Any], keys: Mapping[str, Any], source: str) -> 
     out = dict(values)
     for key, value in keys.items():
         if key.count(".") > MAX_DEPTH:
-            raise ValueError(f"`{source}` must name a key of the case, got `{key[:60]}…`, nested too deeply")
+            raise ValueError(f"`{source}` must name a key of the case; got `{key[:60]}…`, nested too deeply.")
         head, _, rest = key.partition(".")
         if not rest:
             out[head] = value
             continue
         inner = out.get(head, {})
         if not isinstance(inner, dict):
-            raise ValueError(f"`{source}` must name a key of the case, got `{key}`, and `{head}` is no table")
+            raise ValueError(
+                f"`{source}` must name a key of the case; got `{key}`, and `{head}` is no table."
+            )
         out[head] = _with_keys(inner, {rest: value}, source)
     return out
 
@@ -239,8 +241,8 @@ def _build_case(values: dict[str, Any], rules: _Rules, varied: Iterable[str] = (
         return Case.from_values(values, rules.folder, rules.inside)
     if limits.slant_range_m is not None:
         keys["flight.altitude_m"] = limits.slant_range_m * math.cos(math.radians(flight.off_nadir_deg))
-    rate_hz = sensor.clock_hz if limits.rate_is_clock else flight.rate_hz
-    if limits.rate_is_clock:
+    rate_hz = sensor.max_frame_rate_hz if limits.at_max_frame_rate else flight.rate_hz
+    if limits.at_max_frame_rate:
         keys["flight.rate_hz"] = rate_hz
     if limits.duration_s is not None:
         keys["flight.frames"] = max(round(limits.duration_s * rate_hz), 1)

@@ -21,9 +21,9 @@ from glintrack.study.analysis import (
     CHANCE,
     continuous_axes,
     effects,
+    froc,
     pareto_front,
     point_scores,
-    roc,
     sobol_indices,
     surrogates,
 )
@@ -57,7 +57,7 @@ def write_report(
     Returns
     -------
     The folder, and its tables by name: ``points``, ``effects``, ``interactions``, ``sobol``, ``pareto``,
-    ``contrasts``, ``ranks``, ``aa_test``, ``surrogate``, ``surrogate_check``, ``views``, ``roc``, as far as
+    ``contrasts``, ``ranks``, ``aa_test``, ``surrogate``, ``surrogate_check``, ``views``, ``froc``, as far as
     the design allows them.
 
     Raises
@@ -124,7 +124,7 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
     if responses:
         tests = aa_test(table, axes, responses[0], channels, _rng())
         tables["aa_test"] = tests.assign(response=responses[0])
-    tables |= {"views": views(table, varied), "roc": roc(table, axes)}
+    tables |= {"views": views(table, varied), "froc": froc(table, axes)}
     return {name: found for name, found in tables.items() if len(found)}
 
 
@@ -135,7 +135,7 @@ def _rng() -> np.random.Generator:
 def _select_finished(table: pd.DataFrame) -> pd.DataFrame:
     done = table[table["status"] == "finished"]
     if done.empty:
-        raise ValueError(f"`result` must hold finished cases, got none of {len(table)} rows finished")
+        raise ValueError(f"`result` must hold finished cases; got none of {len(table)} rows finished.")
     return done
 
 
@@ -231,8 +231,8 @@ def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
                 out[f"{name}_{response}"] = function(mine, NAMES[response])
     if tables["pareto"]["data_rate_mbit_s"].nunique() > 1:
         out["pareto"] = _draw_pareto(tables["pareto"])
-    if "roc" in tables:
-        out["roc"] = _draw_roc(tables["roc"])
+    if "froc" in tables:
+        out["froc"] = _draw_froc(tables["froc"])
     return out
 
 
@@ -319,19 +319,19 @@ def _draw_pareto(found: pd.DataFrame) -> Figure:
     return figure
 
 
-def _draw_roc(found: pd.DataFrame) -> Figure:
+def _draw_froc(found: pd.DataFrame) -> Figure:
     """Completeness against false tracks per frame: colour by group, line by channel."""
     figure = Figure(figsize=(7.2, 4.0), layout="constrained")
     ax, groups = figure.add_subplot(), list(dict.fromkeys(found["group"]))
     colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.9, len(groups)))
     lines = dict(zip(CHANNELS, ("--", "-", ":"), strict=True))
-    ordered = found.sort_values("false_per_epoch")
+    ordered = found.sort_values("false_per_frame")
     for (group, channel), part in ordered.groupby(["group", "channel"], sort=False):
         style = {"color": colours[groups.index(group)], "linestyle": lines[str(channel)], "markersize": 3}
         label = f"{channel}, {group}" if group else str(channel)
         marker = CHANNELS[str(channel)][1]
-        ax.plot(part["false_per_epoch"], part["completeness"], marker=marker, label=label, **style)
-    ax.set(xlabel=NAMES["false_per_epoch"], ylabel=NAMES["completeness"])
+        ax.plot(part["false_per_frame"], part["completeness"], marker=marker, label=label, **style)
+    ax.set(xlabel=NAMES["false_per_frame"], ylabel=NAMES["completeness"])
     _remove_frame(ax)
     ax.legend(frameon=False, fontsize=6, loc="center left", bbox_to_anchor=(1, 0.5))
     return figure

@@ -221,10 +221,10 @@ class _Run:
         try:
             yield
         except OSError as error:
-            room = " (make room and run it again)" if error.errno == errno.ENOSPC else ""
+            room = " Make room and run it again." if error.errno == errno.ENOSPC else ""
             raise ValueError(
-                f"`output` must have room for results, got {error.strerror or error} in "
-                f"{self.folder.path}; finished cases are saved{room}"
+                f"`output` must have room for results; got {error.strerror or error} in "
+                f"{self.folder.path}. Finished cases are saved.{room}"
             ) from error
 
     def _fail(self, key: str, error: str, seconds: float = 0.0) -> None:
@@ -254,8 +254,8 @@ class _Run:
     def _renew(self) -> None:
         if self.pool.renew is None:
             raise ValueError(
-                f"`scheduler` must stay up, got none any more at {self.pool.name}; finished cases are saved "
-                "(run the study again to resume)"
+                f"`scheduler` must stay up; got none any more at {self.pool.name}. Finished cases are saved. "
+                "Run the study again to resume."
             )
         self.pool.executor = self.pool.renew()
 

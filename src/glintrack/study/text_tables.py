@@ -29,7 +29,7 @@ RESPONSES = (
     "purity",
     "identity_switches",
     "false_per_km2",
-    "false_per_epoch",
+    "false_per_frame",
     "stage_known_background",
     "stage_predicted_background",
     "stage_detector",
@@ -52,7 +52,7 @@ NAMES = {
     "completeness_visible": "completeness, of visible moving vehicles",
     "purity": "track purity",
     "identity_switches": "identity switches of a flight",
-    "false_per_epoch": "false tracks per frame",
+    "false_per_frame": "false tracks per frame",
     "data_rate_mbit_s": "data rate [Mbit/s]",
     **{
         f"stage_{stage}": f"loss budget, of all moving vehicles: {label}"

@@ -91,8 +91,8 @@ def attempt(simulate: Simulate, case_json: str, task: Task) -> dict[str, Any]:
     try:
         if task.source not in (None, source_key()):
             raise ValueError(
-                f"`scheduler` must have workers with the driver's source of glintrack, {task.source}, got "
-                f"{source_key()} on {platform.node()} (install the same there)"
+                f"`scheduler` must have workers with the driver's source of glintrack, {task.source}; got "
+                f"{source_key()} on {platform.node()}. Install the same there."
             )
         case = Case.model_validate_json(case_json)
         with no_locks:
@@ -145,8 +145,8 @@ def scores(case: Case, tree: xr.DataTree, channel: str) -> dict[str, Any]:
     bits_per_frame = sensor.rows * sensor.columns * sensor.bits
     found["data_rate_mbit_s"] = 1e-6 * bits_per_frame * case.flight.rate_hz
     names = ("completeness", "completeness_visible", "held_per_km2", "false_per_km2")
-    over_time = {**dict(zip(names, names, strict=True)), "false_per_epoch": "false_tracks"}
-    found["epochs"] = float(node.sizes["time"])  # simulated ones
+    over_time = {**dict(zip(names, names, strict=True)), "false_per_frame": "false_tracks"}
+    found["frames"] = float(node.sizes["time"])  # simulated ones
     scored = slice(int(node.attrs["learning_frames"]), None)
     found["over_time"] = {name: np.asarray(node[of])[scored].tolist() for name, of in over_time.items()}
     return found
@@ -286,16 +286,16 @@ def dask(address: str, workers: int | None = None, memory_bytes: int | None = No
             )
         except (OSError, TimeoutError, ValueError) as error:
             raise ValueError(
-                f"`scheduler` must be the address of a Dask scheduler that answers within {_CONNECT_S:g} s, "
-                f"got {address} (is it running, and is the port open?)"
+                f"`scheduler` must be the address of a Dask scheduler that answers within {_CONNECT_S:g} s; "
+                f"got {address}. Is it running, and is the port open?"
             ) from error
         with contextlib.suppress(TimeoutError):  # see below
             client.wait_for_workers(1, timeout=_CONNECT_S)
         slots = sum(client.nthreads().values())
         if slots == 0:
             raise ValueError(
-                f"`scheduler` must have workers, got {address} with none within {_CONNECT_S:g} s (start one, "
-                "or wait until the queue has)"
+                f"`scheduler` must have workers; got {address} with none within {_CONNECT_S:g} s. Start one, "
+                "or wait until the queue has."
             )
         # a call is never taken for an earlier one of equal arguments: it may be a case's second attempt
         executor = client.get_executor(pure=False, retries=0)

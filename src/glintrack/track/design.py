@@ -246,8 +246,8 @@ class TrackDesign(Design):
                 found, default = attrgetter(name)(self), type(getattr(self, table)).model_fields[key].default
                 if found not in (default, EXISTENCE_INITIATION.get(key)):
                     raise ValueError(
-                        f"`{name}` must be left out with {choice} = {value!r}, which ignores it, "
-                        f"got {found!r} ({choice} = {other!r} uses it)"
+                        f"`{name}` must be left out with {choice} = {value!r}, which ignores it; "
+                        f"got {found!r}. {choice} = {other!r} uses it."
                     )
         return self
 

@@ -46,9 +46,11 @@ REASSIGNED_M = 6.0
 
 
 def group_log_odds(
-    channel: str, targets: Targets, leader: Int[Array, "target"], flow: Flow, time_s: float
+    channel: str, targets: Targets, primary: Int[Array, "target"], flow: Flow, time_s: float
 ) -> Float[Array, "target"]:
-    """Log odds that each target is a vehicle near its position; of a leader the greatest of its group. [nat]
+    """Log odds that each target is a vehicle near its position. [nat]
+
+    A primary target has the greatest odds of its group.
 
     Parameters
     ----------
@@ -56,14 +58,14 @@ def group_log_odds(
         ``pan``, ``dolp`` or ``all``.
     targets
         All targets; the confirmed ones count as neighbours.
-    leader
-        Index of the target that is reported for each target (`leaders`).
+    primary
+        Index of the target that is reported for each target (`primary_targets`).
     flow, time_s
         Flow of traffic, and the epoch. [s]
     """
     own = read_calibration("existence").models[channel].log_odds(existence_features(targets, flow, time_s))
     odds = own.copy()
-    np.maximum.at(odds, leader, own)
+    np.maximum.at(odds, primary, own)
     return odds
 
 
@@ -92,25 +94,29 @@ def select_reported_tracks(
 def existence_features(targets: Targets, flow: Flow, time_s: float) -> Float[Array, "target feature"]:
     """Features of the existence model, in the order of its calibration.
 
-    Frames since the last measurement; recent mean likelihood ratio (`Targets.trust`), and its positive part;
-    the speed missing to 6 m/s; proximity of the nearest confirmed track with a similar velocity, and of the
-    nearest of any, from 0 at 12 m to 1; age up to 5 s; by how much the distance from the first position is
-    shorter than 6 m/s would make it (stray), with products of these. In a queue a near track with a similar
-    velocity is another vehicle. Alone it is probably the other end of the same one. So the number of tracks
-    in the queue, from 0 to 1 for `QUEUE`, and its products are features. So is the logarithm of the number
-    of other vehicles that had the track's velocity on its line.
+    - frames since the last measurement;
+    - recent mean likelihood ratio (`Targets.recent_ratio`), and its positive part;
+    - speed deficit to 6 m/s;
+    - proximity of the nearest confirmed track with a similar velocity, and of the nearest of any: 1 at its
+      position, 0 from 12 m on;
+    - that of any times the ratio, and times the deficit to 6 m/s of the mean speed since the first position;
+    - age up to 5 s, and times that deficit;
+    - number of tracks in the queue, from 0 to 1 for `QUEUE`, times both proximities and the deficit, too: a
+      near track with a similar velocity is another vehicle in a queue, else probably the same one;
+    - logarithm of the number of other vehicles that had the track's velocity on its line.
     """
     speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
-    travel_m = np.hypot(*(targets.position - targets.born).T)
-    stray = np.maximum(MIN_SPEED_M_S - travel_m / np.maximum(targets.age_s, 1.0), 0.0)
-    age, trust = np.minimum(targets.age_s, MAX_AGE_S), targets.trust
-    alike, near, count = _neighbours(targets)
+    travel_m = np.hypot(*(targets.position - targets.first_position).T)
+    deficit_m_s = np.maximum(MIN_SPEED_M_S - travel_m / np.maximum(targets.age_s, 1.0), 0.0)
+    age, recent_ratio = np.minimum(targets.age_s, MAX_AGE_S), targets.recent_ratio
+    co_moving, near, count = _neighbours(targets)
     queue = np.minimum(count / QUEUE, 1.0)
     slow = np.maximum(MIN_SPEED_M_S - speed, 0.0)
     votes = np.log1p(count_votes(flow, targets.position, targets.mean[:, 2:], time_s))
     columns = [
-        np.minimum(targets.misses, MAX_MISSES), trust, np.maximum(trust, 0.0), slow, alike, near,
-        trust * near, stray * near, age, stray * age, queue, queue * alike, queue * near, queue * slow, votes,
+        np.minimum(targets.misses, MAX_MISSES), recent_ratio, np.maximum(recent_ratio, 0.0), slow, co_moving,
+        near, recent_ratio * near, deficit_m_s * near, age, deficit_m_s * age,
+        queue, queue * co_moving, queue * near, queue * slow, votes,
     ]  # fmt: skip
     return np.stack(columns, axis=-1).astype(float)
 
@@ -120,16 +126,16 @@ class Neighbours(NamedTuple):
 
     Parameters
     ----------
-    escorted, crowded
+    co_moving, any_near
         Proximity of the nearest one with a similar velocity, and of the nearest of any, from 0 at
         `NEIGHBOUR_M` to 1.
-    alike
+    count
         Number of those with a similar velocity within `QUEUE_M`.
     """
 
-    escorted: Float[Array, "target"]
-    crowded: Float[Array, "target"]
-    alike: Float[Array, "target"]
+    co_moving: Float[Array, "target"]
+    any_near: Float[Array, "target"]
+    count: Float[Array, "target"]
 
 
 def _neighbours(targets: Targets) -> Neighbours:
@@ -195,7 +201,7 @@ def update_duplicates(before: Duplicates, targets: Targets) -> Duplicates:
     return Duplicates(pair[lasting], frames[lasting])
 
 
-def leaders(duplicates: Duplicates, targets: Targets) -> Int[Array, "target"]:
+def primary_targets(duplicates: Duplicates, targets: Targets) -> Int[Array, "target"]:
     """Index of the oldest target on each target's vehicle; of a target without duplicates its own."""
     of = np.arange(len(targets))
     row, found = find_rows(targets.id, duplicates.pair)
@@ -206,12 +212,12 @@ def leaders(duplicates: Duplicates, targets: Targets) -> Int[Array, "target"]:
     return of
 
 
-def move_to_mean_position(targets: Targets, leader: Int[Array, "target"]) -> Targets:
-    """Move each leader to the mean position of its duplicates and itself."""
-    many = np.maximum(np.bincount(leader, minlength=len(targets)), 1)
-    sums = [np.bincount(leader, targets.position[:, k], len(targets)) for k in range(2)]
-    leads = leader == np.arange(len(targets))
-    shift = np.where(leads[:, None], np.stack(sums, axis=-1) / many[:, None] - targets.position, 0.0)
+def move_to_mean_position(targets: Targets, primary: Int[Array, "target"]) -> Targets:
+    """Move each primary target to the mean position of its duplicates and itself."""
+    many = np.maximum(np.bincount(primary, minlength=len(targets)), 1)
+    sums = [np.bincount(primary, targets.position[:, k], len(targets)) for k in range(2)]
+    is_primary = primary == np.arange(len(targets))
+    shift = np.where(is_primary[:, None], np.stack(sums, axis=-1) / many[:, None] - targets.position, 0.0)
     shift[many == 1] = 0.0  # to the last digit
     mean, mode_mean = targets.mean.copy(), targets.mode_mean.copy()
     mean[:, :2] += shift
@@ -226,7 +232,7 @@ def _find_pairs(targets: Targets) -> Int[Array, "pair 2"]:
         return np.empty((0, 2), np.int64)
     near = KDTree(targets.position[present]).query_pairs(PAIR_M, output_type="ndarray").reshape(-1, 2)
     a, b = np.sort(present[near], axis=1).T
-    count = _neighbours(targets).alike
+    count = _neighbours(targets).count
     velocity = 0.5 * (targets.mean[a, 2:] + targets.mean[b, 2:])
     speed, apart = np.hypot(*velocity.T), targets.position[b] - targets.position[a]
     unit = velocity / np.maximum(speed, 1e-9)[:, None]

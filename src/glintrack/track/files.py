@@ -127,7 +127,9 @@ def track_detections(
     area = surroundings(table.position) if area_m is None else Extent(*area_m)
     west, south, east, north = area
     if not (west < east and south < north and np.isfinite(area).all()):
-        raise ValueError(f"`area` must be west, south, east, north in metres, got {' '.join(map(str, area))}")
+        raise ValueError(
+            f"`area` must be west, south, east, north in metres; got {' '.join(map(str, area))}."
+        )
     cell = max(CLUTTER_CELL_M, max(east - west, north - south) / MAX_CELLS)
     shape = (max(int(np.ceil((north - south) / cell)), 1), max(int(np.ceil((east - west) / cell)), 1))
     grid = Grid(shape, (west + cell / 2, north - cell / 2), cell)

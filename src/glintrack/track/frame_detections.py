@@ -124,11 +124,11 @@ class FrameDetections:
         """Raise a ValueError for another state or time than that of the detections."""
         if self.state is not state:
             raise ValueError(
-                f"frame detections must be of the state that they are used with, got those of frame "
-                f"{self.state.frame} for a state of frame {state.frame}: detect again"
+                f"`detections` must be of the state that they are used with; got those of frame "
+                f"{self.state.frame} for a state of frame {state.frame}. Detect again."
             )
         if time_s is not None and time_s != self.time_s:
-            raise ValueError(f"`time_s` must be the detections' {self.time_s:g} s, got {time_s:g}")
+            raise ValueError(f"`time_s` must be the detections' {self.time_s:g} s; got {time_s:g}.")
 
 
 def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
@@ -163,7 +163,7 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
     if not isinstance(given, Detections):
         raise ValueError(
             f"`detect` of {type(detector).__name__} must return track.Detections (of boxes: "
-            f"track.of_boxes, of nothing: track.no_detections()), got {type(given).__name__}"
+            f"track.of_boxes, of nothing: track.no_detections()); got {type(given).__name__}."
         )
     return replace(
         prepare_detections(state, given, frame.time_s, grid),
@@ -203,7 +203,7 @@ def prepare_detections(state: TrackerState, found: Detections, time_s: float, gr
 
 def _interval(state: TrackerState, time_s: float) -> float:
     if not (math.isfinite(time_s) and time_s > state.time_s):
-        raise ValueError(f"`time_s` must be later than the last frame's {state.time_s:g} s, got {time_s:g}")
+        raise ValueError(f"`time_s` must be later than the last frame's {state.time_s:g} s; got {time_s:g}.")
     return time_s - state.time_s if state.frame else 0.0
 
 

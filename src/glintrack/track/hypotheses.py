@@ -175,14 +175,14 @@ def select_hypothesis(
     return best
 
 
-def prune(leaves: Leaves, alive: Targets, born: Targets, detection: Int[Array, "born"], scan: int) -> Leaves:
+def prune(leaves: Leaves, alive: Targets, new: Targets, detection: Int[Array, "new"], scan: int) -> Leaves:
     """Delete the trees whose best leaf is not alive, and add a tree of one leaf for each new target.
 
     Parameters
     ----------
     leaves
         From `advance_trees`.
-    alive, born
+    alive, new
         Best leaves that are alive, and new targets.
     detection
         Detection of each new target.
@@ -192,12 +192,12 @@ def prune(leaves: Leaves, alive: Targets, born: Targets, detection: Int[Array, "
     place = np.searchsorted(alive.id, leaves.targets.id)
     keep = np.append(alive.id, -1)[place] == leaves.targets.id
     window = leaves.used.shape[1]
-    n = len(born)
+    n = len(new)
     used, lineage = np.full((n, window), -1), np.full((n, window), -1)
     used[:, 0] = scan * 2**32 + detection
     lineage[:] = (leaves.nodes + np.arange(n))[:, None]
     return Leaves(
-        targets=concatenate(select(leaves.targets, keep), born), cost=np.r_[leaves.cost[keep], np.zeros(n)],
+        targets=concatenate(select(leaves.targets, keep), new), cost=np.r_[leaves.cost[keep], np.zeros(n)],
         used=np.concatenate([leaves.used[keep], used]),
         lineage=np.concatenate([leaves.lineage[keep], lineage]),
         chosen=np.r_[leaves.chosen[keep], np.ones(n, bool)], nodes=leaves.nodes + n,

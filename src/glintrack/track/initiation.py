@@ -16,7 +16,7 @@ from glintrack.track.motion import COAST_DAMPING_S, Modes, combine_modes, initia
 
 TENTATIVE_MISSES = 1  # consecutive frames that an unconfirmed track may miss
 STOPPED_SPEED_M_S = 1.5  # a slower track stands, with one mode of motion
-TRUST_S = 1.2  # time constant of a track's mean likelihood ratio
+RECENT_RATIO_S = 1.2  # time constant of a track's mean likelihood ratio
 MISSED_NAT = -3.0  # likelihood ratio of a frame without a detection
 DUPLICATE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
 _ROUNDING = 1e-9
@@ -35,7 +35,7 @@ class Targets:
         Kalman state ``[east, north, east speed, north speed]``, over all modes. [m, m s⁻¹]
     mode_mean, mode_covariance, mode_probability
         The same by mode of motion, as `Modes`.
-    born
+    first_position
         First position. [m]
     score
         Log-likelihood ratio of target against clutter since it was last 0 (Page's test). [nat]
@@ -54,7 +54,7 @@ class Targets:
         Frames since a spectrum was queried (or, with queries of detections, received), or since birth.
     quality
         Share of the coasting time that is left: 1 after a long time of measurements, 0 at deletion. [1]
-    trust
+    recent_ratio
         Recent mean of its detections' log-likelihood ratios; frames without one count as `MISSED_NAT`. [nat]
     """
 
@@ -64,7 +64,7 @@ class Targets:
     mode_mean: Float[Array, "target mode 4"]
     mode_covariance: Float[Array, "target mode 4 4"]
     mode_probability: Float[Array, "target mode"]
-    born: Float[Array, "target 2"]
+    first_position: Float[Array, "target 2"]
     score: Float[Array, "target"]
     history: Int[Array, "target"]
     age_s: Float[Array, "target"]
@@ -75,7 +75,7 @@ class Targets:
     spectra: Float[Array, "target"]
     frames_since_query: Int[Array, "target"]
     quality: Float[Array, "target"]
-    trust: Float[Array, "target"]
+    recent_ratio: Float[Array, "target"]
 
     def __len__(self) -> int:
         """Count of targets."""
@@ -161,7 +161,7 @@ def update_status(
     """
     rules, ratio, interval_s = design.initiation.in_use, seen.found.log_likelihood_ratio, seen.interval_s
     hits, window = confirmation(rules, interval_s)
-    hit, age_s, trust = assigned >= 0, targets.age_s + interval_s, targets.trust
+    hit, age_s, recent_ratio = assigned >= 0, targets.age_s + interval_s, targets.recent_ratio
     history = ((targets.history << 1) | hit) & ((1 << window) - 1)
     speed = np.hypot(*targets.mean[:, 2:].T)
     confirmed = targets.confirmed | (
@@ -169,11 +169,12 @@ def update_status(
         & (np.bitwise_count(history) >= hits)
         & (age_s >= rules.confirm_min_age_s - _ROUNDING)
         & (targets.score >= design.initiation.confirm_score)
-        & (np.hypot(*(targets.position - targets.born).T) >= rules.confirm_travel_m)
+        & (np.hypot(*(targets.position - targets.first_position).T) >= rules.confirm_travel_m)
         & (speed >= rules.confirm_speed_m_s)
     )
     if ratio is not None:
-        trust = trust - math.expm1(-interval_s / TRUST_S) * (np.append(ratio, MISSED_NAT)[assigned] - trust)
+        change = np.append(ratio, MISSED_NAT)[assigned] - recent_ratio
+        recent_ratio = recent_ratio - math.expm1(-interval_s / RECENT_RATIO_S) * change
     frames_since_query = targets.frames_since_query
     if design.query.at == "detection":  # else `query_predictions` knows the queried targets
         frames_since_query = np.where(spectra > targets.spectra, 0, frames_since_query + 1)
@@ -192,8 +193,8 @@ def update_status(
     return replace(
         targets, history=history, confirmed=confirmed, age_s=age_s, frames_since_query=frames_since_query,
         unseen_s=np.where(hit, 0.0, targets.unseen_s + interval_s),
-        misses=np.where(hit, 0, targets.misses + 1), feature=feature, spectra=spectra, trust=trust,
-        quality=np.where(targets.confirmed, quality, np.maximum(quality, 0.0)),
+        misses=np.where(hit, 0, targets.misses + 1), feature=feature, spectra=spectra,
+        recent_ratio=recent_ratio, quality=np.where(targets.confirmed, quality, np.maximum(quality, 0.0)),
     )  # fmt: skip
 
 
@@ -202,7 +203,7 @@ def select_unassigned(
     targets: Targets,
     position: Float[Array, "detection 2"],
     assigned: Int[Array, "target"],
-) -> Int[Array, "born"]:
+) -> Int[Array, "new"]:
     """Select the detections without a target that are no fragment of an assigned one."""
     free = np.ones(len(position), bool)
     free[assigned[assigned >= 0]] = False
@@ -235,12 +236,12 @@ def initiate(design, found, spectral, index, next_id, flow: Flow, roads=None, ap
     known = np.asarray(np.isfinite(spectral[index]).all(axis=1))
     new = Targets(
         id=np.arange(next_id, next_id + n), mean=mean, covariance=covariance, mode_mean=modes.mean,
-        mode_covariance=modes.covariance, mode_probability=modes.probability, born=mean[:, :2].copy(),
-        score=np.zeros(n), history=np.ones(n, np.int64), age_s=np.zeros(n), unseen_s=np.zeros(n),
-        misses=np.zeros(n, np.int64), confirmed=np.zeros(n, bool),
+        mode_covariance=modes.covariance, mode_probability=modes.probability,
+        first_position=mean[:, :2].copy(), score=np.zeros(n), history=np.ones(n, np.int64), age_s=np.zeros(n),
+        unseen_s=np.zeros(n), misses=np.zeros(n, np.int64), confirmed=np.zeros(n, bool),
         feature=np.where(known[:, None], spectral[index], 0.0), spectra=known.astype(float),
         frames_since_query=np.zeros(n, np.int64), quality=np.zeros(n),
-        trust=np.zeros(n) if ratio is None else ratio,
+        recent_ratio=np.zeros(n) if ratio is None else ratio,
     )  # fmt: skip
     if ratio is None:
         return new

@@ -181,8 +181,8 @@ def prediction_gain(
         gain = np.bincount(one, without - then, len(targets))
     area = np.sqrt(np.linalg.det(spread))
     # a false detection where a missed target was
-    stray = -np.expm1(-2 * np.pi * area * design.association.clutter_density_m2)
-    contention = blind + _binary_entropy((1 - detected) * stray)
+    clutter = -np.expm1(-2 * np.pi * area * design.association.clutter_density_m2)
+    contention = blind + _binary_entropy((1 - detected) * clutter)
     later = FRAMES_AHEAD * (contention + contention.mean()) / ((count + 1) * (count + 2))
     met = -np.expm1(-0.5 * identity.ATTACH_RADIUS_M**2 / area)  # the spectrum is of the vehicle
     return probability * detected * met * (gain + later)
@@ -321,7 +321,7 @@ def plan(
     ground[:, :2] = place_m.reshape(-1, 2)
     columns = np.asarray(column_of(ground))
     if columns.shape != (len(ground),):
-        raise ValueError(f"`column_of` must return one column per point, got shape {columns.shape}")
+        raise ValueError(f"`column_of` must return one column per point; got shape {columns.shape}.")
     # ids rise from west to east when many tracks start together: scattered, ties favour no side
     order = np.lexsort((track_id * 2654435761 % 2**32, -priority))
     chosen = match_columns(columns.reshape(count, spots)[order], priority[order], budget)

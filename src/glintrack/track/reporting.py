@@ -79,11 +79,11 @@ def report(state: TrackerState) -> xr.Dataset:
     if not design.reporting.coasted:
         shown = shown & (targets.misses == 0)
     if design.reporting.uses_existence:
-        leader = existence.leaders(state.duplicates, targets)
-        odds = existence.group_log_odds(design.detect.channel, targets, leader, state.flow, state.time_s)
-        shown = shown & (leader == np.arange(len(targets)))
+        primary = existence.primary_targets(state.duplicates, targets)
+        odds = existence.group_log_odds(design.detect.channel, targets, primary, state.flow, state.time_s)
+        shown = shown & (primary == np.arange(len(targets)))
         shown = existence.select_reported_tracks(odds, shown, design.reporting.max_false_share)
-        targets = existence.move_to_mean_position(targets, leader)
+        targets = existence.move_to_mean_position(targets, primary)
     targets = select(targets, shown)
     return tracks_to_dataset(state.time_s, targets.id, targets.mean, targets.covariance, targets.misses > 0)
 
@@ -99,7 +99,7 @@ class PendingEpoch:
     design
         Design of the tracker.
     targets, log_odds
-        One target of each vehicle (`existence.leaders`), confirmed or not, and its log odds. [nat]
+        One target of each vehicle (`existence.primary_targets`), confirmed or not, and its log odds. [nat]
     measured_s, measured_at
         Time and position of each target's last measurement. [s, m]
     known
@@ -187,11 +187,11 @@ def report_epochs(states: Iterable[TrackerState]) -> Iterator[xr.Dataset]:
 def pending_epoch(before: PendingEpoch | None, state: TrackerState, live: xr.Dataset) -> PendingEpoch:
     """Build the pending epoch of a state, given the one before and the tracks reported without a lag."""
     design, every = state.design, state.targets
-    leader = existence.leaders(state.duplicates, every)
-    leads = leader == np.arange(len(every))
-    targets = select(existence.move_to_mean_position(every, leader), leads)
+    primary = existence.primary_targets(state.duplicates, every)
+    is_primary = primary == np.arange(len(every))
+    targets = select(existence.move_to_mean_position(every, primary), is_primary)
     channel = design.detect.channel
-    odds = existence.group_log_odds(channel, every, leader, state.flow, state.time_s)[leads]
+    odds = existence.group_log_odds(channel, every, primary, state.flow, state.time_s)[is_primary]
     measured_s = np.where(targets.misses == 0, state.time_s, np.nan)
     measured_at = targets.position.copy()
     if before is not None and len(before.targets):
@@ -276,9 +276,9 @@ def _extrapolate_tracks(epochs: Sequence[PendingEpoch]) -> ReportCandidates:
     first, later, last = epochs[0], epochs[1:], epochs[-1]
     new = last.targets.confirmed & ~np.isin(last.targets.id, first.known)
     targets, odds = select(last.targets, new), last.log_odds[new]
-    hits, born_s, born_at = _first_measurements(targets, later)
-    before_s = born_s - first.time_s
-    mean = np.concatenate([born_at - before_s[:, None] * targets.mean[:, 2:], targets.mean[:, 2:]], axis=1)
+    hits, first_s, first_at = _first_measurements(targets, later)
+    before_s = first_s - first.time_s
+    mean = np.concatenate([first_at - before_s[:, None] * targets.mean[:, 2:], targets.mean[:, 2:]], axis=1)
     ones, none = np.ones(len(odds)), np.zeros(len(odds))
     features = np.stack(
         [odds, odds, odds, hits / len(later), none, none, none, none, ones, before_s], axis=-1
@@ -381,7 +381,7 @@ def _states_before_birth(state: TrackerState, k: int) -> tuple[PastState, ...]:
     found, targets = state.detections, state.targets
     if found.earlier is None or not len(found):
         return ()
-    of = int(np.argmin(np.hypot(*(found.position - targets.born[k]).T)))
+    of = int(np.argmin(np.hypot(*(found.position - targets.first_position[k]).T)))
     out = []
     for time_s, position in zip(found.earlier_s, found.earlier[of], strict=True):
         if np.isfinite(position).all():

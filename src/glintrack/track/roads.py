@@ -57,7 +57,7 @@ def roads_of(lines: Sequence[Float[Array, "point 2"]]) -> Roads:
     for line in lines:
         line = np.asarray(line, float)
         if line.ndim != 2 or line.shape[1] != 2 or not np.isfinite(line).all():
-            raise ValueError(f"`roads` must be lines of finite points (east, north), got shape {line.shape}")
+            raise ValueError(f"`roads` must be lines of finite points (east, north); got shape {line.shape}.")
         steps = np.diff(line, axis=0)
         lengths = np.hypot(*steps.T)
         for start, step, length in zip(line, steps, lengths, strict=False):
@@ -68,5 +68,5 @@ def roads_of(lines: Sequence[Float[Array, "point 2"]]) -> Roads:
             points.append(start + share[:, None] * step)
             along.append(np.repeat(step[None] / length, len(share), axis=0))
     if not points:
-        raise ValueError("`roads` must hold a line with a length, got none")
+        raise ValueError("`roads` must hold a line with a length; got none.")
     return Roads(KDTree(np.concatenate(points)), np.concatenate(along))

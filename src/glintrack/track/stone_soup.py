@@ -72,13 +72,13 @@ def from_detections(detections: Iterable[Any], sigma_m: float | None = None) -> 
     for k, detection in enumerate(found):
         vector, model = np.ravel(detection.state_vector).astype(float), detection.measurement_model
         if vector.shape != (2,):
-            raise ValueError(f"`detections` must hold east and north, got {len(vector)} numbers")
+            raise ValueError(f"`detections` must hold east and north; got {len(vector)} numbers.")
         if model is None and sigma_m is None:
-            raise ValueError("`sigma_m` must be given for detections without a measurement model, got none")
+            raise ValueError("`sigma_m` must be given for detections without a measurement model; got none.")
         if model is not None and not hasattr(model, "matrix"):
             raise ValueError(
-                f"`detections` must have a linear measurement model, got {type(model).__name__} "
-                "(convert them to east and north first)"
+                f"`detections` must have a linear measurement model; got {type(model).__name__}. "
+                "Convert them to east and north first."
             )
         position[k] = vector
         covariance[k] = (sigma_m or 0) ** 2 * np.eye(2) if model is None else np.asarray(model.covar(), float)

@@ -63,7 +63,7 @@ def start(
     """
     design = TrackDesign() if design is None else design
     if design.roads.prior and not roads:
-        raise ValueError("`roads` must be given where the design has roads.prior, got none")
+        raise ValueError("`roads` must be given where the design has roads.prior; got none.")
     population, targets = identity.empty_population(features), no_targets(design, features)
     window, leaves = np.empty((0, design.association.scans), np.int64), None
     if design.association.method == "mht":
@@ -108,7 +108,7 @@ def step(
     seen.check(state)
     detector = seen.detector
     if detector is None or seen.frame is None or seen.given is None or seen.order is None:
-        raise ValueError("`frame` must be a frame or what was detected in one, got detections alone")
+        raise ValueError("`frame` must be a frame or what was detected in one; got detections alone.")
     bins = len(state.population.mean)
     spectral, ground = np.full((len(seen.found), bins), np.nan), np.empty((0, bins))
     if spectra is not None and spectra.sizes.get("query", 0):
@@ -163,19 +163,19 @@ def step_detections(
     seen = found if isinstance(found, FrameDetections) else prepare_detections(state, found, time_s, grid)
     seen.check(state, time_s)
     if seen.grid != grid:
-        raise ValueError(f"`grid` must be the detections' {seen.grid}, got {grid}")
+        raise ValueError(f"`grid` must be the detections' {seen.grid}; got {grid}.")
     shape = (len(seen.found), len(state.population.mean))
     spectral = np.full(shape, np.nan) if features is None else np.asarray(features, float)
     if spectral.shape != shape:
         raise ValueError(
-            f"`features` must have a row of {shape[1]} for each of {shape[0]} detections, "
-            f"got shape {spectral.shape}"
+            f"`features` must have a row of {shape[1]} for each of {shape[0]} detections; "
+            f"got shape {spectral.shape}."
         )
     if isinstance(found, Detections):
         spectral = spectral[order(found)]
     ground = np.empty((0, shape[1])) if ground is None else np.asarray(ground, float)
     if ground.ndim != 2 or ground.shape[1] != shape[1]:
-        raise ValueError(f"`ground` must have rows of {shape[1]} features, got shape {ground.shape}")
+        raise ValueError(f"`ground` must have rows of {shape[1]} features; got shape {ground.shape}.")
     return _step(state, seen, spectral, ground)[0]
 
 
@@ -213,10 +213,10 @@ def _step(
     if design.identity.outlier_share:  # spectra that more probably show the ground than any vehicle
         features[evidence.index[evidence.ground > 0]] = np.nan
     flow = update_flow(state.flow, found.position, seen.time_s)
-    born = initiate(design, found, features, index, state.next_id, flow, state.roads, apart_from)
+    new = initiate(design, found, features, index, state.next_id, flow, state.roads, apart_from)
     if leaves is not None:
-        leaves = hypotheses.prune(leaves, targets, born, index, state.frame)
-    targets, duplicates = concatenate(targets, born), state.duplicates
+        leaves = hypotheses.prune(leaves, targets, new, index, state.frame)
+    targets, duplicates = concatenate(targets, new), state.duplicates
     next_id = max(state.next_id, int(targets.id.max(initial=-1)) + 1)
     if uses_existence:
         ids = existence.reassign_ids(state.targets, targets, seen.interval_s, next_id)

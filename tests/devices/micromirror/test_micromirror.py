@@ -83,7 +83,7 @@ def test_steepest_tilt_is_at_a_third_of_the_gap():
 
 
 def test_beyond_pull_in_is_refused_with_the_limit():
-    with pytest.raises(ValueError, match=r"must stay below pull-in at \[36.3, 36.3, 36.3\] V, got \[40"):
+    with pytest.raises(ValueError, match=r"must stay below pull-in at \[36.3, 36.3, 36.3\] V; got \[40"):
         equilibrium(DESIGN, (40.0, 40.0, 40.0))
     with pytest.raises(ValueError, match="within 0 to 500 nm, a third of the electrode gap of 1500 nm"):
         holding_voltage(np.array([0.6e-6]), 0.35, 30e-12, 1.5e-6)

@@ -26,8 +26,8 @@ ROW = {
 @pytest.mark.parametrize(
     ("values", "complaint"),
     [
-        ({"wire_width_nm": 500}, "narrower than the period of 500 nm, got 500 nm"),
-        ({"wires": 21}, "hold the 21 wires, which need at least 10.1 µm, got 10 µm"),
+        ({"wire_width_nm": 500}, "narrower than the period of 500 nm; got 500 nm"),
+        ({"wires": 21}, "hold the 21 wires, which need at least 10.1 µm; got 10 µm"),
         ({"wire_height_nm": -1}, "greater than 0"),
         ({"wall_angle_deg": 40, "wire_width_nm": 50}, "leave the wires a top"),
         ({"port_um": 10}, "wider than the aperture of 10 µm"),
@@ -44,7 +44,7 @@ def test_wavelengths_outside_the_data_are_refused(tmp_path):
     path = tmp_path / "metal.csv"
     path.write_text("wavelength_um,n,k\n0.5,1,5\n0.7,1,5\n")
     design = WireGridDesign(metal=MetalDesign(model="table", table=path))
-    with pytest.raises(ValueError, match=r"0.5 to 0.7 µm, where metal.csv holds, got 0.8"):
+    with pytest.raises(ValueError, match=r"0.5 to 0.7 µm, where metal.csv holds; got 0.8"):
         wire_grid.solve(design, [0.6, 0.8])
     with pytest.raises(ValueError, match=r"0.4 to 2.5 µm"):
         wire_grid.solve(design, [3.0])
@@ -151,6 +151,6 @@ def test_live_solves_agree_with_the_solver_in_process(tmp_path):
 
 
 def test_names_of_shipped_grids():
-    with pytest.raises(ValueError, match="grid_a, grid_b, grid_a_physical, grid_b_physical, got 'grid_c'"):
+    with pytest.raises(ValueError, match="grid_a, grid_b, grid_a_physical, grid_b_physical; got 'grid_c'"):
         wire_grid.load("grid_c")
     assert PAPER_GRIDS["grid_b"].wires == 125

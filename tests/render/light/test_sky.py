@@ -26,5 +26,5 @@ def test_at_the_ground_there_is_no_air_and_above_the_tables_nothing_is_known():
     tables = solve_tables(Case().atmosphere)
     ground = unpack_sky(tables, 0.0)
     assert np.all(ground.transmittance == 1) and np.all(ground.path_map == 0)
-    with pytest.raises(ValueError, match="must lie within the atmosphere's tables, 0 to 10000 m, got 10001"):
+    with pytest.raises(ValueError, match="must lie within the atmosphere's tables, 0 to 10000 m; got 10001"):
         unpack_sky(tables, 10001.0)

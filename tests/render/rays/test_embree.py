@@ -29,7 +29,7 @@ def test_the_library_of_each_wheel_is_found(tmp_path, held):
 
 def test_a_wheel_without_embree_is_told(tmp_path):
     (tmp_path / "embreex").mkdir()
-    with pytest.raises(ValueError, match=r"`embreex` must carry libembree4 or embree4.dll, got none beside"):
+    with pytest.raises(ValueError, match=r"`embreex` must carry libembree4 or embree4.dll; got none beside"):
         _library_file(tmp_path / "embreex")
 
 

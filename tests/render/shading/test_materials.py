@@ -137,7 +137,7 @@ def test_mirrored_light_at_brewsters_angle_is_horizontal():
 
 
 def test_an_unknown_model_is_refused():
-    with pytest.raises(ValueError, match=r"`distribution` must be one of ggx, gaussian, .*, got 'phong'"):
+    with pytest.raises(ValueError, match=r"`distribution` must be one of ggx, gaussian, .*; got 'phong'"):
         reflection_mueller(unit(0.1, 0), unit(0.1, 0), 0.2, 1.5, distribution="phong")
 
 

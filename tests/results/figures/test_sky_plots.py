@@ -29,5 +29,5 @@ def test_fisheye_puts_the_sun_in_the_afternoons_west_which_is_right(axes, quanti
 
 
 def test_unknown_quantity_is_named(axes):
-    with pytest.raises(ValueError, match="`quantity` must be I, DoLP or AoP, got 'V'"):
+    with pytest.raises(ValueError, match="`quantity` must be I, DoLP or AoP; got 'V'"):
         plot_sky.fisheye(axes, solve_tables(AtmosphereDesign()), 0.55, "V")

@@ -108,7 +108,7 @@ def test_parapet_roof_covers_its_footprint():
 
 
 def test_mesh_refuses_faces_that_name_no_vertex():
-    with pytest.raises(ValueError, match="`faces` must index the 3 vertices, got 0 to 3"):
+    with pytest.raises(ValueError, match="`faces` must index the 3 vertices; got 0 to 3"):
         Mesh(np.zeros((3, 3), np.float32), np.array([[0, 1, 3]], np.int32), np.zeros(1, np.int16))
 
 

@@ -81,16 +81,16 @@ def test_a_raster_in_degrees_is_turned_into_the_scenes_frame(tmp_path):
 
 def test_bad_rasters_get_one_sentence(tmp_path):
     small = write_dem(tmp_path / "s.tif", tilted, half_m=60.0)
-    with pytest.raises(ValueError, match=r"`dem_file` must cover the scene, got no height in .* %"):
+    with pytest.raises(ValueError, match=r"`dem_file` must cover the scene; got no height in .* %"):
         read_dem(small, BOUNDS, *PLACE)
     placeless = write_dem(tmp_path / "p.tif", tilted, crs=None)
-    with pytest.raises(ValueError, match=r"`dem_file` must have a CRS, got none in p.tif"):
+    with pytest.raises(ValueError, match=r"`dem_file` must have a CRS; got none in p.tif"):
         read_dem(placeless, BOUNDS, *PLACE)
     holed = write_dem(tmp_path / "h.tif", lambda e, n: np.where(np.hypot(e, n) < 50, -9999, 0), nodata=-9999)
     with pytest.raises(ValueError, match="`dem_file` must cover the scene"):
         read_dem(holed, BOUNDS, *PLACE)
     (tmp_path / "t.tif").write_text("not a raster")
-    with pytest.raises(ValueError, match=r"`dem_file` must be a raster \(GeoTIFF, .*\), got .*t\.tif"):
+    with pytest.raises(ValueError, match=r"`dem_file` must be a raster \(GeoTIFF, .*\); got .*t\.tif"):
         read_dem(tmp_path / "t.tif", BOUNDS, *PLACE)
 
 

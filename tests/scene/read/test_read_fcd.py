@@ -48,12 +48,12 @@ def test_vehicle_that_vanishes_comes_back_as_another_or_not_at_all(tmp_path):
 @pytest.mark.parametrize(
     ("row", "sentence"),
     [
-        ("oops;90;a;car;3;0", r"must give each row a time, got none in 1 of 11 rows, first in data row 11"),
+        ("oops;90;a;car;3;0", r"must give each row a time; got none in 1 of 11 rows, first in data row 11"),
         (";90;a;car;3;0", "must give each row a time"),
         ("0.30;90;;car;3;0", "must give each row a vehicle"),
-        ("0.30;90;a;car;3;0", "must give each vehicle once a time step, got 'a' twice at 0.3 s"),
-        ("0.34;90;b;car;3;0", "must be sampled every 0.1 s, as most of it is, got the time 0.34 s"),
-        ("0.30;90;b;car;3,5;0;0", "must give each row the header's 6 columns, got 7 in data row 11"),
+        ("0.30;90;a;car;3;0", "must give each vehicle once a time step; got 'a' twice at 0.3 s"),
+        ("0.34;90;b;car;3;0", "must be sampled every 0.1 s, as most of it is; got the time 0.34 s"),
+        ("0.30;90;b;car;3,5;0;0", "must give each row the header's 6 columns; got 7 in data row 11"),
         ("0.30;90", "must give each row a vehicle"),
         ("0:0:x;90;a;car;3;0", "must give each row a time"),
         ("0.30;90;b;car;x;0", "must give finite x in metres"),
@@ -129,7 +129,7 @@ def test_what_is_no_road_vehicle_is_told_and_keeps_the_clock(tmp_path):
 @pytest.mark.parametrize(
     ("rows", "sentence"),
     [
-        (["0;0;t;tram;5;5", "1;0;t;tram;5;6"], "must hold road vehicles, got none among 2 rows"),
+        (["0;0;t;tram;5;5", "1;0;t;tram;5;6"], "must hold road vehicles; got none among 2 rows"),
         (["0;90;a;car;0;0", "1;90;a;car;9;0", "9e9;0;t;tram;5;5"], "must span at most 1e\\+06 s"),
     ],
 )
@@ -208,10 +208,10 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><fcd-export>&b;</fc
         ("f.csv", "", "`f.csv` must have a header row"),
         ("f.csv", HEAD + "0.0;0;a;car;nan;0\n0.1;0;a;car;0;1\n", "must give finite x .* in 1 of 2 rows"),
         ("f.csv", HEAD + "0.0;0;a;car;1e9;0\n0.1;0;a;car;0;1\n", "must give finite x .*got 1e.09"),
-        ("f.csv", HEAD + "0.0;0;a;car;0;0\n", "must hold at least two time steps, got 1"),
+        ("f.csv", HEAD + "0.0;0;a;car;0;0\n", "must hold at least two time steps; got 1"),
         ("f.xml", as_xml()[:300], "`f.xml` must be whole, well-formed XML"),
         ("f.xml", BOMB, "`f.xml` must be plain XML without DTD or entities"),
-        ("f.xml", "<net/>", "must hold at least two time steps, got 0"),
+        ("f.xml", "<net/>", "must hold at least two time steps; got 0"),
         ("f.xml.gz", "not gzip", "`f.xml.gz` must be"),
     ],
 )
@@ -341,5 +341,5 @@ def test_angles_of_motion_follow_turns_and_hold_while_standing(tmp_path):
     (tmp_path / "f.csv").write_text(head + "\n".join(lines))
     assert np.degrees(read_fcd(tmp_path / "f.csv", WINDOW)[0].angle).tolist() == [90, 90, 0, 0, 0]
     (tmp_path / "f.csv").write_text(head + "0;a;car;0;0\n1;a;car;0;0\n")
-    with pytest.raises(ValueError, match="must give angles, got none, and 1 vehicles that never move"):
+    with pytest.raises(ValueError, match="must give angles; got none, and 1 vehicles that never move"):
         read_fcd(tmp_path / "f.csv", WINDOW)

@@ -204,7 +204,7 @@ def test_archives_are_read(tmp_path):
     [
         (b"\x00\x00\x00\x0d\n\tOSMHeader\x18", r"got PBF \(osmium cat a.x -o a.osm\)"),
         (json.dumps({"version": 0.6, "elements": []}).encode(), r"got JSON \(download it as XML"),
-        (b"<osmChange/>", "must be OpenStreetMap XML .root element osm., got 'osmChange'"),
+        (b"<osmChange/>", "must be OpenStreetMap XML .root element osm.; got 'osmChange'"),
     ],
 )
 def test_other_formats_are_refused_with_what_converts_them(tmp_path, content, sentence):

@@ -67,7 +67,7 @@ def test_buildings_side_by_side_are_both_kept(tmp_path):
 def test_many_buildings_over_each_other_are_refused_before_all_pairs_are_tried(tmp_path):
     """2000 outlines in one place are 4 million pairs, of which each takes microseconds; 60 are let be."""
     assert len(read(tmp_path, *(polygon(f"a{k}", 0, 0, 10) for k in range(60))).footprints) == 60
-    with pytest.raises(ValueError, match="must hold buildings side by side, got 2000 over each other"):
+    with pytest.raises(ValueError, match="must hold buildings side by side; got 2000 over each other"):
         read(tmp_path, *(polygon(f"a{k}", 0, 0, 10) for k in range(2000)))
 
 

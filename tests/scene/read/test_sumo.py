@@ -92,7 +92,7 @@ def test_failure_of_sumo_is_one_sentence(monkeypatch, tmp_path):
     done = subprocess.CompletedProcess([], 1, "Loading\n", "Error: no edges\nQuitting (on error).\n")
     monkeypatch.setattr(subprocess, "run", lambda *a, **k: done)
     with pytest.raises(
-        ValueError, match="`netconvert` of SUMO must succeed, got exit 1: Error: no edges"
+        ValueError, match="`netconvert` of SUMO must succeed; got exit 1: Error: no edges"
     ) as caught:
         sumo.call_sumo(tmp_path, tmp_path, [str(Path("bin") / "netconvert")])
     assert "\n" not in str(caught.value)

@@ -114,16 +114,16 @@ def test_bad_meshes_get_one_sentence(tmp_path):
         read_mesh(export(tmp_path, SQUARE * 1000, FACES))
     with pytest.raises(ValueError, match=r"20 to 20000 m wide .*got 0.1 m .*perhaps 1000 for kilometres"):
         read_mesh(export(tmp_path, SQUARE / 1000, FACES))
-    with pytest.raises(ValueError, match="must have finite coordinates, got 3 of 4"):
+    with pytest.raises(ValueError, match="must have finite coordinates; got 3 of 4"):
         read_mesh(export(tmp_path, np.where(np.eye(4, 3) > 0, np.nan, SQUARE), FACES[:1]))
-    with pytest.raises(ValueError, match="must lie about its origin, got coordinates up to"):
+    with pytest.raises(ValueError, match="must lie about its origin; got coordinates up to"):
         read_mesh(export(tmp_path, SQUARE + [600_000, 5_000_000, 0], FACES))
     with pytest.raises(ValueError, match="must have triangles with an area"):
         read_mesh(export(tmp_path, SQUARE, [[0, 1, 1]]))
     with pytest.raises(ValueError, match=r"`mesh_file` must end in .glb"):
         read_mesh(tmp_path / "m.fbx")
     (tmp_path / "broken.glb").write_bytes(b"glTF" + bytes(40))
-    with pytest.raises(ValueError, match=r"`mesh_file` must be a whole mesh, got 'broken.glb'") as error:
+    with pytest.raises(ValueError, match=r"`mesh_file` must be a whole mesh; got 'broken.glb'") as error:
         read_mesh(tmp_path / "broken.glb")
     assert "\n" not in str(error.value)
 
@@ -145,10 +145,10 @@ def test_triangles_that_lie_on_others_are_left_out_and_told(tmp_path):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", "got none for 'house' .*its names: 'house', 'street'"),
+        ("", "got none for 'house' .*Its names: 'house', 'street'"),
         ('[mesh]\n"*" = "mud"\n', "got 'mud' for 'house'"),
         ("[mesh]\nstreet = 3\n", r"must give names under \[mesh\]"),
-        ('[mesh]\nstreat = "asphalt"\n"*" = "asphalt"\n', "got 'streat' .did you mean `street`"),
+        ('[mesh]\nstreat = "asphalt"\n"*" = "asphalt"\n', "got 'streat'. Did you mean `street`"),
     ],
 )
 def test_a_mesh_without_materials_is_refused(files, text, sentence):
@@ -166,7 +166,7 @@ def test_without_the_extra_it_is_named(files, monkeypatch):
 def test_a_window_may_be_smaller_than_the_mesh_and_must_be_on_a_large_one(files):
     city = build_scene(design(files, width_m=80, height_m=60))
     assert city.extent_m == (-40, -30, 40, 30)
-    with pytest.raises(ValueError, match=r"must cover at most 4 km², got 4000 m × 2000 m .*give width_m"):
+    with pytest.raises(ValueError, match=r"must cover at most 4 km²; got 4000 m × 2000 m .*Give width_m"):
         build_scene(design(files, mesh_unit_m=20))
 
 

@@ -168,9 +168,9 @@ def test_the_window_goes_where_the_lanes_are():
 @pytest.mark.parametrize(
     ("keys", "sentence"),
     [
-        ({"city": "net"}, "`scene.net_file` must be given with city = 'net', got none"),
-        ({"net_file": "a"}, "`scene.net_file` must be given with city = 'net' only, got city = 'embedded'"),
-        ({"width_m": 5000, "height_m": 5000}, "must be at most 4 km², got 25 km²"),
+        ({"city": "net"}, "`scene.net_file` must be given with city = 'net'; got none"),
+        ({"net_file": "a"}, "`scene.net_file` must be given with city = 'net' only; got city = 'embedded'"),
+        ({"width_m": 5000, "height_m": 5000}, "must be at most 4 km²; got 25 km²"),
         ({"crs": "EPSG:32632", "city": "mesh", "mesh_file": "m.glb"}, "must be given together"),
         ({"city": "braunschweig", "width_m": 500}, "must be 660 and 420 for city = 'braunschweig'"),
     ],
@@ -183,7 +183,7 @@ def test_keys_that_do_not_belong_together(keys, sentence):
 
 def test_a_window_beside_the_streets_is_refused(files):
     design = tiny(files).model_copy(update={"centre_m": (9000.0, 0.0)})
-    with pytest.raises(ValueError, match=r"`scene.centre_m` must put streets into the window, got 0 m"):
+    with pytest.raises(ValueError, match=r"`scene.centre_m` must put streets into the window; got 0 m"):
         build_scene(design)
 
 
@@ -196,7 +196,7 @@ def test_a_middle_in_the_towns_degrees_is_refused(files, centre):
 def test_a_network_for_pedestrians_only_is_refused(files):
     lane = '<lane id="p_0" index="0" allow="pedestrian" shape="0,0 9,0"/>'
     (files / "p.net.xml").write_text(f'<net><edge id="p">{lane}</edge></net>')
-    with pytest.raises(ValueError, match=r"`p.net.xml` must have a lane for motor vehicles, got none"):
+    with pytest.raises(ValueError, match=r"`p.net.xml` must have a lane for motor vehicles; got none"):
         build_scene(tiny(files, net_file=str(files / "p.net.xml")))
 
 

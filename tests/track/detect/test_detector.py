@@ -148,7 +148,7 @@ def test_bad_detections_are_refused_in_one_sentence():
     found = of_boxes(np.array([[0.0, 0.0, 2.0, 2.0]]), 1.0)
     with pytest.raises(ValueError, match=r"`detections.extent` must have shape \(1,\) for 1 positions"):
         check(replace(found, extent=np.ones(3)))
-    with pytest.raises(ValueError, match="`frame` must have an image, or a grid without one, got neither"):
+    with pytest.raises(ValueError, match="`frame` must have an image, or a grid without one; got neither"):
         track.step(state, track.Frame(0.0))
     with pytest.raises(ValueError, match="`frame` must have a rectified image for this detector"):
         track.step(track.start(), track.Frame(0.0, grid=GRID))

@@ -229,7 +229,7 @@ def test_mosaic_of_another_layout_is_refused():
     with pytest.raises(ValueError, match="`mosaic` must keep the first frame's layout"):
         DETECTOR.detect(state, replace(frames[1], mosaic=other))
     bare = replace(frames[0].mosaic, layout=(("open",),))
-    with pytest.raises(ValueError, match="three polarizers in a superpixel for channel 'dolp', got 0"):
+    with pytest.raises(ValueError, match="three polarizers in a superpixel for channel 'dolp'; got 0"):
         DETECTOR.start(replace(frames[0], mosaic=bare, channel="dolp"))
 
 

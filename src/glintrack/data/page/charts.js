@@ -3,6 +3,7 @@
 const charts = (() => {
   const drawn = [];
   const DASHES = { pan: [], dolp: [7, 4], all: [2, 3] };
+  const dashed = (dash) => (!dash || !dash.length ? "solid" : dash[0] > 3 ? "dashed" : "dotted"); // in the legend
   const channelColour = (name) => page.colour(`--${name}`) || page.colour("--text");
 
   function axis(label, size) {
@@ -49,7 +50,7 @@ const charts = (() => {
       const u = new uPlot({
         width, height, bands,
         cursor: { drag: { x: false, y: false } },
-        legend: { live: width > 400 },
+        legend: { live: width > 400, markers: { width: 2, fill: () => "transparent", dash: (_, i) => dashed(series[i - 1] && series[i - 1].dash) } },
         scales: { x: { time: false }, y: { range: limits || ((u, low, high) => around(low, high)) } },
         axes: [axis(xlabel, 46), axis(ylabel, 58)],
         series: [{ label: xlabel, value: shown }, ...series.map((s) => ({
@@ -115,16 +116,16 @@ const charts = (() => {
     overTime(parent, "Vehicles with a track", "vehicles", curve("valid"));
     overTime(parent, "False tracks", "tracks", curve("false_tracks"));
     overTime(parent, "Spectra served", "queries", curve("queries_served"));
-    const swept = Object.entries(page.channels).filter(([, m]) => m.roc);
-    if (swept.length && page.byId("roc-charts")) plots.draw(page.byId("roc-charts"), [{
-      title: "ROC: completeness against false tracks", xlabel: "false tracks a frame", ylabel: "completeness", fromZero: true,
-      lines: swept.map(([name, { roc }]) => ({ label: name, channel: name, points: roc.points, joined: roc.points, own: roc.own })),
+    const swept = Object.entries(page.channels).filter(([, m]) => m.froc);
+    if (swept.length && page.byId("froc-charts")) plots.draw(page.byId("froc-charts"), [{
+      title: "FROC: completeness against false tracks", xlabel: "false tracks per frame", ylabel: "completeness", fromZero: true,
+      lines: swept.map(([name, { froc }]) => ({ label: name, channel: name, points: froc.points, joined: froc.points, own: froc.own })),
     }]);
   }
 
   const QUALITY = {
     rmse: "Picture: RMS error", psnr: "Picture: PSNR", ssim: "Picture: structural similarity", snr: "Picture: SNR",
-    mtf_quarter: "Picture: MTF at a quarter of a cycle a pixel", dolp_rmse: "Polarization: RMS error of DoLP",
+    mtf_quarter: "Picture: MTF at 0.25 cycles per pixel", dolp_rmse: "Polarization: RMS error of DoLP",
     aop_rmse: "Polarization: RMS error of AoP", registration_error: "Registration error on the ground",
     registration_error_px: "Registration error in the frame", spectral_angle: "Spectra: mean spectral angle",
     spectral_rmse: "Spectra: RMS error",

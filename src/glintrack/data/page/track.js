@@ -7,7 +7,7 @@ const tracks = (() => {
   const paintOf = (vehicle) => data.vehicles[vehicle] || "";
   const called = (vehicle) => (vehicle < 0 ? "no vehicle" : `vehicle ${vehicle}${paintOf(vehicle) ? ` (${paintOf(vehicle)})` : ""}`);
 
-  const epochs = (n) => `${n} ${n === 1 ? "epoch" : "epochs"}`;
+  const frames = (n) => `${n} ${n === 1 ? "frame" : "frames"}`;
 
   function fillChoices() {
     const choice = page.byId("track"), rows = page.shown().tracks;
@@ -66,8 +66,8 @@ const tracks = (() => {
     const coasted = mine.filter((i) => rows.flags[i] & 1).length, [vehicle, count] = majority(rows, mine);
     text.textContent =
       `Track ${state.track} in ${page.named(state.channel)}: ${page.seconds(rows.t[first])} to ${page.seconds(rows.t[last])}, ` +
-      `${epochs(mine.length)}, ${coasted} of them without a detection. ` +
-      (count ? `On ${called(vehicle)} in ${epochs(count)}. ` : "Never on a vehicle. ") +
+      `${frames(mine.length)}, ${coasted} of them without a detection. ` +
+      (count ? `On ${called(vehicle)} in ${frames(count)}. ` : "Never on a vehicle. ") +
       `${changed.length} identity ${changed.length === 1 ? "switch" : "switches"}.`;
     life.append(line(rows, mine, parts, changed));
     for (const c of changed) list.append(page.element("button", {

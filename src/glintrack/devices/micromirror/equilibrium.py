@@ -116,7 +116,7 @@ class MicromirrorDesign(Design):
             if getattr(a, name) + more > half:
                 raise ValueError(
                     f"`actuator.{name}` must be at most {half - more:.4g} µm, to keep under a plate of "
-                    f"{self.plate.side_um:g} µm, got {getattr(a, name):g}"
+                    f"{self.plate.side_um:g} µm; got {getattr(a, name):g}."
                 )
         return self
 
@@ -167,7 +167,7 @@ def holding_voltage(
         worst = x.max() if x.max() > gap_m / 3 else x.min()
         raise ValueError(
             f"`travel` must lie within 0 to {gap_m / 3 * 1e9:.4g} nm, a third of the electrode gap of "
-            f"{gap_m * 1e9:.4g} nm, got {worst * 1e9:.4g} nm (beyond it the plate is pulled in)"
+            f"{gap_m * 1e9:.4g} nm; got {worst * 1e9:.4g} nm. Beyond it the plate is pulled in."
         )
     return np.sqrt(2 * spring_n_per_m * x * (gap_m - x) ** 2 / (epsilon_0 * area_m2))
 
@@ -192,7 +192,8 @@ def equilibrium(
     if found is None:
         limit = pull_in(design, tuple(voltages))
         raise ValueError(
-            f"`drive.voltages_v` must stay below pull-in at {_in_volts(limit)} V, got {_in_volts(voltages)} V"
+            f"`drive.voltages_v` must stay below pull-in at {_in_volts(limit)} V; "
+            f"got {_in_volts(voltages)} V."
         )
     return found
 
@@ -203,7 +204,7 @@ def pull_in(
     """Voltages in the proportions of ``pattern`` at which the plate is pulled in. [V]"""
     pattern_v = np.abs(np.asarray(pattern, float))
     if not pattern_v.max() > 0:
-        raise ValueError("`pattern` must have a voltage other than 0, got none")
+        raise ValueError("`pattern` must have a voltage other than 0; got none.")
     a = design.actuator
     high = pull_in_voltage(a.spring_n_per_m, a.electrode_area_m2, a.gap_m)
     pattern_v = pattern_v / pattern_v.max()

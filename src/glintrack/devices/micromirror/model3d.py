@@ -52,7 +52,7 @@ def superpixel_glb(
     if pitch_um < max(design.plate.side_um, grid.aperture_um):
         raise ValueError(
             f"`pitch_um` must be at least the mirror's {design.plate.side_um:g} µm and the aperture's "
-            f"{grid.aperture_um:g} µm, got {pitch_um:g}"
+            f"{grid.aperture_um:g} µm; got {pitch_um:g}."
         )
     document = Document()
     for name, colour, metallic, rough in _COLOURS:

@@ -96,8 +96,8 @@ class Sheet:
         total = np.sum(density * self.area)
         if total <= 0:
             raise ValueError(
-                f"`radius` must reach a point of the mesh, got {radius_m * 1e6:.3g} µm "
-                f"at ({x_m * 1e6:.3g}, {y_m * 1e6:.3g}) µm on a plate of {self.side_m * 1e6:.3g} µm"
+                f"`radius` must reach a point of the mesh; got {radius_m * 1e6:.3g} µm "
+                f"at ({x_m * 1e6:.3g}, {y_m * 1e6:.3g}) µm on a plate of {self.side_m * 1e6:.3g} µm."
             )
         return density / total
 
@@ -318,8 +318,8 @@ def bend_plate(
             break
     else:
         raise ValueError(
-            f"`drive.current_ma` must be low enough for heat and resistance to settle, "
-            f"got {design.drive.current_ma:g}, which runs away"
+            f"`drive.current_ma` must be low enough for heat and resistance to settle; "
+            f"got {design.drive.current_ma:g}, which runs away."
         )
     line = np.linspace(-sheet.side_m / 2, sheet.side_m / 2, cells + 1)
     maps = {"deflection": (bent, "m"), "temperature_rise": (heat, "K"), "voltage_drop": (drop, "V")}
@@ -391,11 +391,11 @@ def _pull(
         smallest = min(smallest, step)
     if not voltages.any():
         raise ValueError(
-            f"`plate` must bow less than the electrode gap of {gap * 1e9:.4g} nm, got more from film stress "
-            f"and a temperature rise of {warmth.max():.3g} K"
+            f"`plate` must bow less than the electrode gap of {gap * 1e9:.4g} nm; got more from film stress "
+            f"and a temperature rise of {warmth.max():.3g} K."
         )
     limit = ", ".join(f"{v:.4g}" for v in pull_in(design, (voltages[0], voltages[1], voltages[2])))
     raise ValueError(
         f"`drive.voltages_v` must stay below pull-in, near [{limit}] V for a rigid plate and lower for a "
-        f"bent one, got [{', '.join(f'{v:.4g}' for v in voltages)}] V"
+        f"bent one; got [{', '.join(f'{v:.4g}' for v in voltages)}] V."
     )

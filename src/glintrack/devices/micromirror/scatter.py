@@ -76,7 +76,7 @@ def wing_fraction(model: Scatter, beta: ArrayLike) -> Float[Array, "wavelength"]
     """
     limit = np.broadcast_to(np.asarray(beta, float), model.wavelength_um.shape)
     if np.any((limit < 0) | (limit > 1)):
-        raise ValueError(f"`beta` must lie in 0 to 1, a sine, got {limit.min():g} to {limit.max():g}")
+        raise ValueError(f"`beta` must lie in 0 to 1, a sine; got {limit.min():g} to {limit.max():g}.")
     inside = [
         a * _inside(float(b), s, model.slope)
         for a, b, s in zip(model.scale, limit, model.shoulder, strict=True)

@@ -62,27 +62,27 @@ class WireGridDesign(Design):
         if base >= self.period_nm:
             raise ValueError(
                 f"`wire_width_nm` must leave a gap: the wires' base must be narrower than the period of "
-                f"{self.period_nm:g} nm, got {base:g} nm"
+                f"{self.period_nm:g} nm; got {base:g} nm."
             )
         if top <= 0:
             raise ValueError(
-                f"`wall_angle_deg` must leave the wires a top at {self.wire_height_nm:g} nm, "
-                f"got {self.wall_angle_deg:g}"
+                f"`wall_angle_deg` must leave the wires a top at {self.wire_height_nm:g} nm; "
+                f"got {self.wall_angle_deg:g}."
             )
         needed_um = (self.wires - 1) * self.period_nm * 1e-3 + self.base_width_um
         if needed_um > self.aperture_um * (1 + 1e-9):
             raise ValueError(
-                f"`aperture_um` must hold the {self.wires} wires, which need at least {needed_um:g} µm, "
-                f"got {self.aperture_um:g} µm"
+                f"`aperture_um` must hold the {self.wires} wires, which need at least {needed_um:g} µm; "
+                f"got {self.aperture_um:g} µm."
             )
         if self.aperture_um >= self.port_um:
             raise ValueError(
-                f"`port_um` must be wider than the aperture of {self.aperture_um:g} µm, got {self.port_um:g}"
+                f"`port_um` must be wider than the aperture of {self.aperture_um:g} µm; got {self.port_um:g}."
             )
         if self.wire_height_nm * 1e-3 >= self.depth_um / 4:
             raise ValueError(
-                f"`depth_um` must be more than four times the wires' height of {self.wire_height_nm:g} nm, "
-                f"got {self.depth_um:g} µm"
+                f"`depth_um` must be more than four times the wires' height of {self.wire_height_nm:g} nm; "
+                f"got {self.depth_um:g} µm."
             )
         return self
 

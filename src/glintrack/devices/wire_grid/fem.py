@@ -352,7 +352,7 @@ def measure(pixel: Pixel, wavelength_um: float, permittivity: complex) -> dict[s
     row |= {"field_ratio_real": ratio.real, "field_ratio_imag": ratio.imag}
     row |= {"coherence_real": coherence.real, "coherence_imag": coherence.imag}
     if not np.isfinite(list(row.values())).all():
-        raise ValueError(f"`fem` must give finite fields, got none at {wavelength_um:g} µm (refine the mesh)")
+        raise ValueError(f"`fem` must give finite fields; got none at {wavelength_um:g} µm. Refine the mesh.")
     return row
 
 

@@ -62,7 +62,7 @@ def load(name: str) -> xr.Dataset:
     See `complete`.
     """
     if name not in PAPER_GRIDS:
-        raise ValueError(f"`name` must be one of {', '.join(PAPER_GRIDS)}, got {name!r}")
+        raise ValueError(f"`name` must be one of {', '.join(PAPER_GRIDS)}; got {name!r}.")
     with as_file(files("glintrack") / "data" / "devices" / f"{name}.nc") as path:
         return complete(xr.load_dataset(path, engine="h5netcdf"))
 

@@ -140,19 +140,19 @@ def patch_rays(sun: Float[Array, "3"]) -> PatchRays:
     patch = patch_of(dense, sun)
     share = 2 * math.pi / _DENSE
     directions, patches, angles = [], [], []
-    for b, wanted in enumerate(_RAYS):
+    for b, count in enumerate(_RAYS):
         mine = dense[patch == b]
-        if len(mine) < SETS * wanted:  # below the horizon, or hidden behind the cap
+        if len(mine) < SETS * count:  # below the horizon, or hidden behind the cap
             continue
-        centres = mine[np.linspace(0, len(mine) - 1, SETS * wanted).round().astype(int)]
+        centres = mine[np.linspace(0, len(mine) - 1, SETS * count).round().astype(int)]
         for _ in range(_ROUNDS):
             nearest = np.argmax(mine @ centres.T, axis=1)
             sums = np.array([mine[nearest == c].sum(axis=0) for c in range(len(centres))])
             lengths = np.linalg.norm(sums, axis=1, keepdims=True)
             centres = np.where(lengths > 0, sums / np.maximum(lengths, 1e-9), centres)
-        directions += [centres[k * SETS : (k + 1) * SETS] for k in range(wanted)]
-        patches += wanted * [b]
-        angles += wanted * [share * len(mine) / wanted]
+        directions += [centres[k * SETS : (k + 1) * SETS] for k in range(count)]
+        patches += count * [b]
+        angles += count * [share * len(mine) / count]
     below = hemisphere_directions(SETS * _BELOW) * np.array([1.0, 1.0, -1.0])
     directions += [below[k * SETS : (k + 1) * SETS] for k in range(_BELOW)]
     every = np.stack(directions, axis=1)
@@ -231,8 +231,8 @@ def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:
     altitudes = np.r_[0.0, tables["altitude"].values]
     if not 0 <= altitude_m <= altitudes[-1] + 1e-6:
         raise ValueError(
-            f"`altitude_m` must lie within the atmosphere's tables, 0 to {altitudes[-1]:g} m, "
-            f"got {altitude_m:g} (see atmosphere.altitudes_m)"
+            f"`altitude_m` must lie within the atmosphere's tables, 0 to {altitudes[-1]:g} m; "
+            f"got {altitude_m:g}. Set atmosphere.altitudes_m to extend them."
         )
     high = min(max(int(np.searchsorted(altitudes, altitude_m)), 1), len(altitudes) - 1)
     part = float((altitude_m - altitudes[high - 1]) / (altitudes[high] - altitudes[high - 1]))

@@ -81,7 +81,7 @@ def load_library() -> ctypes.CDLL:
     spec = importlib.util.find_spec("embreex")
     if spec is None or spec.origin is None:
         raise ValueError(
-            "`embreex` must be installed to trace rays, got no such package (pip install embreex)"
+            "`embreex` must be installed to trace rays; got no such package. Run: pip install embreex"
         )
     importlib.import_module("embreex.rtcore")  # loads TBB and Embree by their relative paths
     path = _library_file(Path(spec.origin).parent)
@@ -117,8 +117,8 @@ def _library_file(package: Path) -> Path:
     found = sorted(file for place in places for name in names for file in place.glob(name))
     if not found:
         raise ValueError(
-            f"`embreex` must carry libembree4 or embree4.dll, got none beside {package} "
-            "(need embreex>=4.4,<4.5)"
+            f"`embreex` must carry libembree4 or embree4.dll; got none beside {package}. "
+            "Install embreex>=4.4,<4.5."
         )
     return found[0]
 
@@ -177,7 +177,7 @@ class EmbreeTracer:
         self._library.rtcCommitScene(self._moving)
         error = self._library.rtcGetDeviceError(self._device)
         if error:
-            raise ValueError(f"`scene` must be valid geometry for Embree, got RTC error {error}")
+            raise ValueError(f"`scene` must be valid geometry for Embree; got RTC error {error}.")
 
     def intersect(
         self, origins: Array, directions: Array, coherent: bool = False, past: Past = "all"
@@ -206,7 +206,7 @@ class EmbreeTracer:
         """Build the scene of a mesh: a geometry of its closed faces and one, with filters, of its cards."""
         closed = int(np.count_nonzero(gap == 0))
         if gap[:closed].any():
-            raise ValueError("`gaps` must be sorted, faces without holes first, got them mixed")
+            raise ValueError("`gaps` must be sorted, faces without holes first; got them mixed.")
         # Embree reads 16 bytes at the last vertex: one spare row keeps that inside our memory
         vertices = np.ascontiguousarray(np.vstack([mesh.vertices, np.zeros((1, 3))]), np.float32)
         # the best quality splits faces, and a card met in two pieces would take its share of the light twice

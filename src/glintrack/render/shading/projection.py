@@ -196,8 +196,8 @@ def base_spectra(materials: xr.Dataset, wavelength_um: Array) -> Float[Array, "r
     table = materials["wavelength"].values.astype(float)
     if wavelength_um[0] < table[0] - 1e-9 or wavelength_um[-1] > table[-1] + 1e-9:
         raise ValueError(
-            f"`materials.reflectance` must cover {wavelength_um[0]:g} to {wavelength_um[-1]:g} µm, "
-            f"got {table[0]:g} to {table[-1]:g} µm"
+            f"`materials.reflectance` must cover {wavelength_um[0]:g} to {wavelength_um[-1]:g} µm; "
+            f"got {table[0]:g} to {table[-1]:g} µm."
         )
     rows = materials["reflectance"].values.astype(float)
     through = materials["transmittance"].values if "transmittance" in materials else np.zeros_like(rows)

@@ -241,7 +241,7 @@ def superpixel_rays(
     axes.plot(*plate, color=_METAL, linewidth=4, label="mirror")
     wires, under = centres[1] + np.linspace(-side, side, 20), [centres[1] - side, centres[1] + side]
     axes.plot(wires, np.zeros(20), "s", color=_METAL, markersize=3, label="wires")
-    axes.plot(under, [-below, -below], color="0.2", linewidth=5, label="detector")
+    axes.plot(under, [-below, -below], color="0.2", linewidth=5, label="detector array")
     for name, colour in colours.items():
         axes.plot([], [], color=colour, label=name)
     axes.set(xlabel="x [µm]", ylabel="height [µm]", aspect="equal", xlim=(-45, 45), ylim=(-30, height))

@@ -19,14 +19,14 @@ _OUTLINE = 40
 
 
 def draw_transfer(axes: Axes, curves: xr.Dataset) -> None:
-    """Draw the modulation transfer function over the spatial frequency on the detector."""
+    """Draw the modulation transfer function over the spatial frequency on the detector array."""
     for name in curves.data_vars:
         axes.plot(curves["frequency"], curves[name], _HATCH.get(str(name), "-"), label=str(name))
     nyquist = curves.attrs["nyquist_per_mm"]
     axes.axvline(nyquist, color="0.6", lw=1)
     axes.annotate("Nyquist", (nyquist, 0.97), rotation=90, va="top", ha="right", color="0.4")
     axes.set(
-        xlabel="spatial frequency on the detector [mm⁻¹]",
+        xlabel="spatial frequency on the detector array [mm⁻¹]",
         ylabel="modulation transfer",
         xlim=(0, float(curves["frequency"][-1])),
         ylim=(0, 1.02),
@@ -53,7 +53,7 @@ def draw_response(axes: Axes, curves: xr.Dataset) -> None:
 
 
 def draw_frame(frame: xr.Dataset, degree: Float[Array, "y x"]) -> Figure:
-    """Figure of a frame on the detector: pan, degree and angle of polarization."""
+    """Figure of a frame on the detector array: pan, degree and angle of polarization."""
     pan = frame["pan"].values
     angle = np.where(np.isfinite(degree), np.degrees(aop(frame["stokes_radiance"].values)), np.nan)
     white = float(np.nanpercentile(pan, _BRIGHT))

@@ -54,7 +54,7 @@ def fisheye(axes: Axes, tables: xr.Dataset, wavelength_um: float, quantity: Quan
         values = np.degrees(stokes.aop(light))
         style = {"cmap": f"{AOP}_shifted", "vmin": 0, "vmax": 180}
     else:
-        raise ValueError(f"`quantity` must be I, DoLP or AoP, got {quantity!r}")
+        raise ValueError(f"`quantity` must be I, DoLP or AoP; got {quantity!r}.")
     mesh = axes.pcolormesh(azimuth, zenith, values, shading="gouraud", rasterized=True, **style)
     sun = tables.attrs["sun_azimuth_rad"], np.degrees(tables.attrs["sun_zenith_rad"])
     axes.plot(*sun, marker="o", markersize=7, markerfacecolor="none", markeredgecolor="red")

@@ -9,7 +9,7 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from glintrack.core.arrays import Array
 from glintrack.core.records import Extent
-from glintrack.results.figures import DOLP, LOOP_COLOURS, MARKS, MAX_DOLP, NO_DATA, RADIANCE, label_axes
+from glintrack.results.figures import DOLP, LOOP_STYLES, MARKS, MAX_DOLP, NO_DATA, RADIANCE, label_axes
 
 QUERY_COLOUR = "#dc267f"
 # kind -> shape, area [pt²], label
@@ -152,12 +152,12 @@ def track_kinds(rows: xr.Dataset) -> Array:
 
 def show_completeness(ax: Axes, result: xr.DataTree) -> None:
     """Draw track completeness against time for every channel of a result."""
-    for channel, colour in LOOP_COLOURS.items():
+    for channel, style in LOOP_STYLES.items():
         if channel in result.children:
             node = result[channel]
             purity = float(node.attrs.get("purity", np.nan))
             label = f"{channel} (purity {purity:.2f})" if np.isfinite(purity) else channel
-            ax.plot(node["time"], node["completeness"], color=colour, label=label)
+            ax.plot(node["time"], node["completeness"], label=label, **style)
     label_axes(ax, "time [s]", "track completeness", "Track completeness, Eq. (13)", ylim=(0, 1.02))
     ax.legend()
 

@@ -46,15 +46,15 @@ class Mesh:
         """Refuse arrays that do not belong together."""
         for name, array in (("vertices", self.vertices), ("faces", self.faces)):
             if array.ndim != 2 or array.shape[1] != 3:
-                raise ValueError(f"`{name}` must have shape (n, 3), got {array.shape}")
+                raise ValueError(f"`{name}` must have shape (n, 3); got {array.shape}.")
         if self.material.shape != (len(self.faces),):
-            raise ValueError(f"`material` must have shape ({len(self.faces)},), got {self.material.shape}")
+            raise ValueError(f"`material` must have shape ({len(self.faces)},); got {self.material.shape}.")
         if not np.isfinite(self.vertices).all():
-            raise ValueError("`vertices` must be finite, got some that are not")
+            raise ValueError("`vertices` must be finite; got some that are not.")
         if len(self.faces) and not (0 <= self.faces.min() and self.faces.max() < len(self.vertices)):
             raise ValueError(
-                f"`faces` must index the {len(self.vertices)} vertices, "
-                f"got {self.faces.min()} to {self.faces.max()}"
+                f"`faces` must index the {len(self.vertices)} vertices; "
+                f"got {self.faces.min()} to {self.faces.max()}."
             )
 
 

@@ -80,7 +80,7 @@ def read_dem(
         with open_raster(path, "dem_file") as file:
             if file.crs is None:
                 raise ValueError(
-                    f"`dem_file` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)"
+                    f"`dem_file` must have a CRS; got none in {path.name}. Set it: gdal_edit.py -a_srs …"
                 )
             band = file.read(1, masked=True).astype(float).filled(np.nan)
             check_heights(band, "dem_file", path.name)
@@ -97,14 +97,14 @@ def read_dem(
             )
     except Exception as error:  # errors of GDAL itself have no public class
         raise ValueError(
-            f"`dem_file` must be a raster that GDAL reads and projects, got {path.name}: {plain(error, 200)}"
+            f"`dem_file` must be a raster that GDAL reads and projects; got {path.name}: {plain(error, 200)}."
         ) from error
     missing = ~np.isfinite(height)
     if missing.any():
         raise ValueError(
-            f"`dem_file` must cover the scene, got no height in {100 * missing.mean():.0f} % of "
+            f"`dem_file` must cover the scene; got no height in {100 * missing.mean():.0f} % of "
             f"{x[0]:.0f} to {x[-1]:.0f} m east, {y[-1]:.0f} to {y[0]:.0f} m north of "
-            f"({origin_m[0]:.0f}, {origin_m[1]:.0f}) in {crs}"
+            f"({origin_m[0]:.0f}, {origin_m[1]:.0f}) in {crs}."
         )
     centre = _centre_height(x, y, height)
     return _dataset(x, y, height - centre), centre

@@ -74,7 +74,7 @@ def read_fcd(
     road = table["vehicle_type"].isin([kind for kind, model in models.items() if model]).to_numpy()
     others = table.loc[~road].drop_duplicates("vehicle_id")["vehicle_type"]
     if not road.any() and len(table):
-        raise ValueError(f"`{path.name}` must hold road vehicles, got none among {len(table)} rows")
+        raise ValueError(f"`{path.name}` must hold road vehicles; got none among {len(table)} rows.")
     table = table.loc[road]
     step, start_s, step_s = _time_steps(path, clock, table["timestep_time"].to_numpy(float), start_s)
     names, vehicle = np.unique(table["vehicle_id"].to_numpy(dtype=str), return_inverse=True)
@@ -84,9 +84,9 @@ def read_fcd(
     if _is_geographic(x, y, stretch, step * step_s):
         if project is None:
             raise ValueError(
-                f"`{path.name}` must be in metres, got numbers that look like degrees, about "
-                f"({np.median(x):.4f}, {np.median(y):.4f}) (write it without --fcd-output.geo, or give the "
-                "scene crs and origin_m)"
+                f"`{path.name}` must be in metres; got numbers that look like degrees, about "
+                f"({np.median(x):.4f}, {np.median(y):.4f}). Write it without --fcd-output.geo, or give the "
+                "scene crs and origin_m."
             )
         x, y = project(x, y)
         notes.append("longitude and latitude are projected")
@@ -99,8 +99,8 @@ def read_fcd(
         bad = ~(np.abs(values) < MAX_COORDINATE_M)
         if bad.any():
             raise ValueError(
-                f"`{path.name}` must give finite {name} in metres and degrees, "
-                f"got {values[bad][0]:g} in {int(bad.sum())} of {bad.size} rows"
+                f"`{path.name}` must give finite {name} in metres and degrees; "
+                f"got {values[bad][0]:g} in {int(bad.sum())} of {bad.size} rows."
             )
     if returning:
         vehicle = stretch
@@ -145,10 +145,10 @@ def _time_steps(
 ) -> tuple[Array, float, float]:
     """Time step of each row, counted from ``start_s``; that time; and the interval. [1, s, s]"""
     if clock_s.size < 2:
-        raise ValueError(f"`{path.name}` must hold at least two time steps, got {clock_s.size}")
+        raise ValueError(f"`{path.name}` must hold at least two time steps; got {clock_s.size}.")
     if np.ptp(clock_s) > _MAX_DURATION_S:
         raise ValueError(
-            f"`{path.name}` must span at most {_MAX_DURATION_S:g} s, got {clock_s[0]:g} to {clock_s[-1]:g} s"
+            f"`{path.name}` must span at most {_MAX_DURATION_S:g} s; got {clock_s[0]:g} to {clock_s[-1]:g} s."
         )
     start_s = float(clock_s[0]) if start_s is None else start_s
     step_s = float(np.round(np.median(np.diff(clock_s)), 6))
@@ -156,8 +156,8 @@ def _time_steps(
     late = np.abs(position - np.round(position)) > _MAX_CLOCK_ERROR
     if late.any():
         raise ValueError(
-            f"`{path.name}` must be sampled every {step_s:g} s, as most of it is, got the time "
-            f"{time_s[late][0]:g} s in {int(late.sum())} of {late.size} rows"
+            f"`{path.name}` must be sampled every {step_s:g} s, as most of it is; got the time "
+            f"{time_s[late][0]:g} s in {int(late.sum())} of {late.size} rows."
         )
     return np.round(position).astype(int), start_s, step_s
 
@@ -187,8 +187,8 @@ def _angles_of_motion(path: Path, x: Array, y: Array, stretch: Array, step: Arra
     if np.isnan(filled).any():
         standing = len(np.unique(stretch[order][np.isnan(filled)]))
         raise ValueError(
-            f"`{path.name}` must give angles, got none, and {standing} "
-            "vehicles that never move (write the attribute angle too)"
+            f"`{path.name}` must give angles; got none, and {standing} "
+            "vehicles that never move. Write the attribute angle too."
         )
     angle = np.empty(len(x))
     angle[order] = filled
@@ -226,8 +226,8 @@ def _number_stretches(path: Path, vehicle: Array, step: Array, time: Array, name
     if twice.size:
         row = order[twice[0] + 1]
         raise ValueError(
-            f"`{path.name}` must give each vehicle once a time step, got {str(names[vehicle[row]])[:40]!r} "
-            f"twice at {time[row]:g} s ({twice.size} such rows)"
+            f"`{path.name}` must give each vehicle once a time step; got {str(names[vehicle[row]])[:40]!r} "
+            f"twice at {time[row]:g} s, in {twice.size} rows."
         )
     stretch = np.empty(vehicle.size, int)
     stretch[order] = np.cumsum(np.r_[0, ~(same & (ahead == 1))])

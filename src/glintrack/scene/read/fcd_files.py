@@ -54,12 +54,12 @@ def read_fcd_rows(path: Path) -> FcdRows:
     if missing:
         raise ValueError(
             f"`{path.name}` must be SUMO's floating-car data with the columns {', '.join(_COLUMNS[:6])} "
-            f"(type and angle may be left out), got no {', '.join(missing)}"
+            f"(type and angle may be left out); got no {', '.join(missing)}."
         )
     if source_of[_ID].startswith(_OTHERS) and not {_KIND, *_PLACE} & set(source_of):
         raise ValueError(
-            f"`{path.name}` must tell persons from vehicles, got persons without type, lane and edge (write "
-            "these too, or the file as XML)"
+            f"`{path.name}` must tell persons from vehicles; got persons without type, lane and edge. Write "
+            "these too, or the file as XML."
         )
     table = pd.DataFrame({own: raw[name] for own, name in source_of.items()})
     table[_TIME] = _seconds(pd.Series(table[_TIME]))
@@ -67,7 +67,7 @@ def read_fcd_rows(path: Path) -> FcdRows:
         for name in filter(table.__contains__, _NUMBERS):
             table[name] = pd.Series(pd.to_numeric(table[name], errors="coerce"), dtype=float)
     except OverflowError as error:
-        raise ValueError(f"`{path.name}` must hold numbers that fit, got {error}") from error
+        raise ValueError(f"`{path.name}` must hold numbers that fit; got {error}.") from error
     person = np.zeros(len(table), bool)
     if set(_PLACE) <= set(table):  # an edge and no lane, where others have a lane
         lane, edge = (table[name].notna() & (table[name] != "") for name in _PLACE)
@@ -85,8 +85,8 @@ def read_fcd_rows(path: Path) -> FcdRows:
     for what, bad in (("a time", ~np.isfinite(time_s)), ("a vehicle", nameless)):
         if bad.any():
             raise ValueError(
-                f"`{path.name}` must give each row {what}, got none in {int(bad.sum())} of {bad.size} rows, "
-                f"first in data row {int(np.flatnonzero(bad)[0]) + 1} (correct it, or delete it)"
+                f"`{path.name}` must give each row {what}; got none in {int(bad.sum())} of {bad.size} rows, "
+                f"first in data row {int(np.flatnonzero(bad)[0]) + 1}. Correct it, or delete it."
             )
     table[_KIND] = table[_KIND].fillna("").astype(str)
     used = [name for name in _COLUMNS[:6] if name in table]
@@ -99,7 +99,7 @@ def _reader(path: Path) -> Callable[[Path], pd.DataFrame]:
         try:
             head = file.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n")
         except (OSError, EOFError, zlib.error) as error:
-            raise ValueError(f"`{path.name}` must be a whole archive, got {error}") from error
+            raise ValueError(f"`{path.name}` must be a whole archive; got {error}.") from error
     if head.startswith(b"<") or path.name.endswith((".xml", ".xml.gz")):
         return _read_xml
     return _read_parquet if head.startswith(b"PAR1") or path.suffix == ".parquet" else _read_csv
@@ -137,11 +137,11 @@ def _read_csv(path: Path) -> pd.DataFrame:
                     raise ValueError(f"`{path.name}` must have at most {most:,} rows, each below 100 kB")
                 if line.count(separator) > count and b'"' not in line:  # pandas would shift the columns
                     raise ValueError(
-                        f"`{path.name}` must give each row the header's {count + 1} columns, got "
-                        f"{line.count(separator) + 1} in data row {number} (correct it, or delete it)"
+                        f"`{path.name}` must give each row the header's {count + 1} columns; got "
+                        f"{line.count(separator) + 1} in data row {number}. Correct it, or delete it."
                     )
     except (OSError, EOFError, zlib.error) as error:
-        raise ValueError(f"`{path.name}` must be SUMO's floating-car data as CSV, got {error}") from error
+        raise ValueError(f"`{path.name}` must be SUMO's floating-car data as CSV; got {error}.") from error
     texts = (
         _ID,
         _KIND,
@@ -168,7 +168,7 @@ def _read_parquet(path: Path) -> pd.DataFrame:
         arrow.validate(full=True)  # also finds names that are not text
         return arrow.to_pandas()
     except Exception as error:  # Arrow has many errors for damaged files
-        raise ValueError(f"`{path.name}` must be a whole Parquet file, got {error}") from error
+        raise ValueError(f"`{path.name}` must be a whole Parquet file; got {error}.") from error
 
 
 def _read_xml(path: Path) -> pd.DataFrame:
@@ -199,10 +199,10 @@ def _read_xml(path: Path) -> pd.DataFrame:
                     element.clear()
     except DefusedXmlException as error:
         raise ValueError(
-            f"`{path.name}` must be plain XML without DTD or entities, got {type(error).__name__}"
+            f"`{path.name}` must be plain XML without DTD or entities; got {type(error).__name__}."
         ) from error
     except (ParseError, OSError, zlib.error, EOFError, ValueError, LookupError) as error:
-        raise ValueError(f"`{path.name}` must be whole, well-formed XML, got {error}") from error
+        raise ValueError(f"`{path.name}` must be whole, well-formed XML; got {error}.") from error
     if not has_angle:
         del rows[_NUMBERS[2]]
     return pd.DataFrame(rows)

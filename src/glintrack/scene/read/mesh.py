@@ -70,22 +70,22 @@ class NamedMesh:
         """
         if foreign := sorted(set(material_of) - {*self.names, "*"}):
             raise ValueError(
-                f"`materials_file` must name materials of the mesh under [mesh], got {foreign[0]!r} "
-                f"({suggest_name(foreign[0], self.names)})"
+                f"`materials_file` must name materials of the mesh under [mesh]; got {foreign[0]!r}. "
+                f"{suggest_name(foreign[0], self.names)}"
             )
         numbers = []
         for name in self.names:
             material = material_of.get(name, material_of.get("*"))
             if material is None:
                 raise ValueError(
-                    "`materials_file` must give under [mesh] a material for each of the mesh's own, "
-                    f"got none for {name!r} (its names: {', '.join(map(repr, self.names[:12]))}; "
-                    "'*' stands for all others)"
+                    "`materials_file` must give under [mesh] a material for each of the mesh's own; "
+                    f"got none for {name!r}. Its names: {', '.join(map(repr, self.names[:12]))}; "
+                    "'*' stands for all others."
                 )
             if material not in index:
                 raise ValueError(
-                    f"`materials_file` must name materials of the library under [mesh], got {material!r} for "
-                    f"{name!r} (known: {', '.join(sorted(index))})"
+                    f"`materials_file` must name materials of the library under [mesh]; got {material!r} for "
+                    f"{name!r}. Known: {', '.join(sorted(index))}."
                 )
             numbers.append(index[material])
         material = np.array(numbers, dtype=np.int16)[self.name_of]
@@ -115,7 +115,7 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
         If the file is damaged, empty, not finite, or not of a scene's size.
     """
     if path.suffix.lower() not in _ENDINGS:
-        raise ValueError(f"`mesh_file` must end in {', '.join(_ENDINGS)}, got {path.name!r}")
+        raise ValueError(f"`mesh_file` must end in {', '.join(_ENDINGS)}; got {path.name!r}.")
     check_file(path, "mesh_file", MAX_BYTES)
     try:
         parts = _read_parts(path)
@@ -123,10 +123,10 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
         raise
     except Exception as error:  # a dozen parsers have many errors for damaged files
         raise ValueError(
-            f"`mesh_file` must be a whole mesh, got {path.name!r}: {plain(error, 200)}".split("\n")[0]
+            f"`mesh_file` must be a whole mesh; got {path.name!r}: {plain(error, 200)}.".split("\n")[0]
         ) from error
     if not parts:
-        raise ValueError(f"`mesh_file` must hold triangles, got none in {path.name!r}")
+        raise ValueError(f"`mesh_file` must hold triangles; got none in {path.name!r}.")
     counts = [len(part.vertices) for part in parts]
     vertices = np.concatenate([part.vertices for part in parts])
     starts = np.cumsum(counts) - counts
@@ -136,11 +136,11 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise ValueError(
-            "`mesh_file` must have finite coordinates, "
-            f"got {int(bad.sum())} of {len(vertices)} vertices that are not"
+            "`mesh_file` must have finite coordinates; "
+            f"got {int(bad.sum())} of {len(vertices)} vertices that are not."
         )
     if len(faces) > MAX_FACES:
-        raise ValueError(f"`mesh_file` must have at most {MAX_FACES} triangles, got {len(faces)}")
+        raise ValueError(f"`mesh_file` must have at most {MAX_FACES} triangles; got {len(faces)}.")
     if (up or default_up(path)) == "y":
         vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
     vertices = vertices * (unit_m or 1.0)
@@ -148,7 +148,7 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     flat = np.linalg.norm(np.cross(b - a, c - a), axis=1) < 1e-9
     if flat.all():
-        raise ValueError(f"`mesh_file` must have triangles with an area, got {len(faces)} without")
+        raise ValueError(f"`mesh_file` must have triangles with an area; got {len(faces)} without.")
     kept = np.flatnonzero(~flat)
     flaws = [f"{int(flat.sum())} triangles without area are left out"] if flat.any() else []
     _, joined = np.unique(np.round(vertices, 4), axis=0, return_inverse=True)
@@ -236,15 +236,15 @@ def _check_size(vertices: Float[Array, "vertex 3"]) -> None:
         fitting = [
             f"{unit_m:g} for {name}" for name, unit_m in _UNITS_M.items() if 100 <= wide * unit_m <= 3000
         ]
-        remedy = f"set mesh_unit_m, perhaps {' or '.join(fitting)}" if fitting else "set mesh_unit_m"
+        remedy = f"Set mesh_unit_m, perhaps {' or '.join(fitting)}." if fitting else "Set mesh_unit_m."
         raise ValueError(
             f"`mesh_file` must be {_MIN_WIDTH_M:g} to {_MAX_WIDTH_M:g} m wide and at most "
-            f"{_MAX_HEIGHT_M:g} m tall, got {wide:.4g} m and {tall:.4g} m ({remedy})"
+            f"{_MAX_HEIGHT_M:g} m tall; got {wide:.4g} m and {tall:.4g} m. {remedy}"
         )
     if far > 2 * _MAX_WIDTH_M:
         raise ValueError(
-            f"`mesh_file` must lie about its origin, got coordinates up to {far:.6g} m "
-            "(move it, and say where it lies by crs and origin_m)"
+            f"`mesh_file` must lie about its origin; got coordinates up to {far:.6g} m. "
+            "Move it, and say where it lies by crs and origin_m."
         )
 
 

@@ -76,9 +76,9 @@ def read_osm(
     _check_format(path)
     root = read_xml(path)  # SUMO reads half a file without complaint, and follows entities
     if root.tag != "osm":
-        raise ValueError(f"`{path.name}` must be OpenStreetMap XML (root element osm), got {root.tag!r}")
+        raise ValueError(f"`{path.name}` must be OpenStreetMap XML (root element osm); got {root.tag!r}.")
     if not any(tag.get("k") == "highway" for way in root.iter("way") for tag in way.iter("tag")):
-        raise ValueError(f"`{path.name}` must hold at least one way with a highway tag, got none")
+        raise ValueError(f"`{path.name}` must hold at least one way with a highway tag; got none.")
     home = sumo_home()
     typemap = home / "data" / "typemap"
     typemaps = [typemap / f"osmNetconvert{kind}.typ.xml" for kind in ("", "UrbanDe")]
@@ -112,7 +112,7 @@ def _check_format(path: Path) -> None:
     elif head.lstrip()[:1] == b"{":
         other = "JSON (download it as XML, with Overpass by [out:xml])"
     if other:
-        raise ValueError(f"`{path.name}` must be OpenStreetMap XML, got {other}")
+        raise ValueError(f"`{path.name}` must be OpenStreetMap XML; got {other}.")
 
 
 def _tags(element: Element) -> dict[str, str]:
@@ -159,7 +159,7 @@ def _parse(path: Path, root: Element) -> _Extract:
                 ways = [member for member in element.iter("member") if member.get("type") == "way"]
                 extract.relations.append((tags, [(m.get("ref", ""), m.get("role", "")) for m in ways]))
     except ValueError as error:
-        raise ValueError(f"`{path.name}` must give each node lon and lat in degrees, got {error}") from error
+        raise ValueError(f"`{path.name}` must give each node lon and lat in degrees; got {error}.") from error
     return extract
 
 

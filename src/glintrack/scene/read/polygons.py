@@ -88,7 +88,7 @@ def read_polygons(path: Path) -> Polygons:
     """
     root = read_xml(path)
     if root.tag != "additional":
-        raise ValueError(f"`{path.name}` must be SUMO polygons (root element additional), got {root.tag!r}")
+        raise ValueError(f"`{path.name}` must be SUMO polygons (root element additional); got {root.tag!r}.")
     buildings: list[Footprint] = []
     grounds: list[tuple[str, BaseGeometry]] = []
     gone: Counter[str] = Counter()
@@ -196,7 +196,7 @@ def _cut_courtyards(buildings: list[Footprint], name: str) -> tuple[list[Footpri
     for k in range(0, len(shapes), _CHUNK):
         near += tree.query(shapes[k : k + _CHUNK]).shape[1]
         if near > _MAX_MEAN_NEAR * len(shapes) + _MAX_NEAR:
-            raise ValueError(f"`{name}` must hold buildings side by side, got {len(shapes)} over each other")
+            raise ValueError(f"`{name}` must hold buildings side by side; got {len(shapes)} over each other.")
     inside, outside = tree.query(shapes, predicate="within")
     true = (inside != outside) & (shapely.area(shapes[inside]) < shapely.area(shapes[outside]))
     depth = np.bincount(inside[true], minlength=len(shapes))

@@ -74,12 +74,12 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
     """
     root = read_xml(path)
     if root.tag != "net":
-        raise ValueError(f"`{path.name}` must be a SUMO network (root element net), got {root.tag!r}")
+        raise ValueError(f"`{path.name}` must be a SUMO network (root element net); got {root.tag!r}.")
     signalled = {c.get("from") for c in root.iter("connection") if c.get("tl")}
     edges = list(root.iter("edge"))
     lanes = tuple(lane for edge in edges for lane in _lanes(path, edge, edge.get("id") in signalled))
     if not lanes:
-        raise ValueError(f"`{path.name}` must hold at least one lane with a shape, got none")
+        raise ValueError(f"`{path.name}` must hold at least one lane with a shape; got none.")
     count = sum(1 for edge in edges for _ in edge.iter("lane"))
     report_reading(
         path, "lanes", count, len(lanes), {"no road, rail, pavement or crossing": count - len(lanes)}
@@ -98,7 +98,7 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
         return network, NetLocation()
     offsets = shape_points(path, location.get("netOffset", "0,0"))
     if len(offsets) != 1:
-        raise ValueError(f"`{path.name}` must give one netOffset, got {location.get('netOffset')!r:.60}")
+        raise ValueError(f"`{path.name}` must give one netOffset; got {location.get('netOffset')!r:.60}.")
     east, north = offsets[0].tolist()
     projection = location.get("projParameter", "!").strip()
     known = projection if projection not in ("!", "-", ".", "") else None
@@ -119,10 +119,10 @@ def read_xml(path: Path) -> Element:
         return defusedxml.ElementTree.fromstring(content, forbid_dtd=True)
     except DefusedXmlException as error:
         raise ValueError(
-            f"`{path.name}` must be plain XML without DTD or entities, got {type(error).__name__}"
+            f"`{path.name}` must be plain XML without DTD or entities; got {type(error).__name__}."
         ) from error
     except (ParseError, ValueError, LookupError) as error:  # the last two: of its declared encoding
-        raise ValueError(f"`{path.name}` must be whole, well-formed XML, got {error}") from error
+        raise ValueError(f"`{path.name}` must be whole, well-formed XML; got {error}.") from error
 
 
 def _lanes(path: Path, edge: Element, signalled: bool) -> list[Lane]:
@@ -135,8 +135,8 @@ def _lanes(path: Path, edge: Element, signalled: bool) -> list[Lane]:
         width_m = _number(path, element, "width", 3.2)  # SUMO's own default
         if not 0 < width_m <= _MAX_LANE_WIDTH_M:
             raise ValueError(
-                f"`{path.name}` must give lanes a width of 0 to {_MAX_LANE_WIDTH_M:g} m, got {width_m:g} for "
-                f"lane {element.get('id', '')!r}"
+                f"`{path.name}` must give lanes a width of 0 to {_MAX_LANE_WIDTH_M:g} m; got {width_m:g} for "
+                f"lane {element.get('id', '')!r}."
             )
         lanes.append(
             Lane(
@@ -160,7 +160,7 @@ def _number(path: Path, element: Element, name: str, default: float) -> float:
             raise ValueError(text)
     except ValueError as error:
         raise ValueError(
-            f"`{path.name}` must give {name} of a {element.tag} as a finite number, got {text!r:.60}"
+            f"`{path.name}` must give {name} of a {element.tag} as a finite number; got {text!r:.60}."
         ) from error
     return value
 
@@ -187,10 +187,10 @@ def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
     try:
         points = np.array([[float(v) for v in p.split(",")[:2]] for p in shape.split()]).reshape(-1, 2)
     except ValueError as error:
-        raise ValueError(f"`{path.name}` must give shapes as 'x,y x,y …', got {shape[:40]!r}") from error
+        raise ValueError(f"`{path.name}` must give shapes as 'x,y x,y …'; got {shape[:40]!r}.") from error
     if not (np.abs(points) <= MAX_COORDINATE_M).all():
         raise ValueError(
-            f"`{path.name}` must give coordinates in metres within ±{MAX_COORDINATE_M:g}, got {shape[:40]!r}"
+            f"`{path.name}` must give coordinates in metres within ±{MAX_COORDINATE_M:g}; got {shape[:40]!r}."
         )
     return points
 
@@ -322,8 +322,8 @@ def simulate_traffic(run: SumoRun) -> Recording:
         with (folder / "fcd.csv").open(encoding="utf-8") as rows:
             if "vehicle_id" not in rows.readline():  # SUMO writes no header without a vehicle
                 raise ValueError(
-                    "`scene.traffic_insertion_period_s` must let a vehicle drive while traffic is recorded, "
-                    f"got none in {run.duration_s:g} s by {run.insertion_period_s:g} s (choose less)"
+                    "`scene.traffic_insertion_period_s` must let a vehicle drive while traffic is recorded; "
+                    f"got none in {run.duration_s:g} s by {run.insertion_period_s:g} s. Choose less."
                 )
         with collect_readings():
             traffic, _ = read_fcd(folder / "fcd.csv", run.extent_m, run.warmup_s, returning=False)
@@ -361,17 +361,17 @@ def call_sumo(home: Path, folder: Path, command: list[str]) -> None:
             command, cwd=folder, env=environment, capture_output=True, text=True, check=False
         )
     except OSError as error:
-        raise MissingExtraError(f"`{program}` of SUMO must be runnable, got {error}") from error
+        raise MissingExtraError(f"`{program}` of SUMO must be runnable; got {error}.") from error
     if done.returncode == 0:
         return
     output = f"{done.stdout}\n{done.stderr}"
     if "shared libraries" in output or "cannot open shared object" in output:
         library = next((word for word in output.split() if ".so" in word), "a library").rstrip(":")
         raise MissingExtraError(
-            f"`{program}` of SUMO must find its system libraries, got none for {library} "
-            f"(on Debian or Ubuntu: apt-get install {_DEBIAN_PACKAGES})"
+            f"`{program}` of SUMO must find its system libraries; got none for {library}. "
+            f"On Debian or Ubuntu: apt-get install {_DEBIAN_PACKAGES}."
         )
     errors = [line for line in output.splitlines() if "rror" in line] or output.strip().splitlines()
     raise ValueError(
-        f"`{program}` of SUMO must succeed, got exit {done.returncode}: {' '.join(errors[-2:])[:300]}"
+        f"`{program}` of SUMO must succeed; got exit {done.returncode}: {' '.join(errors[-2:])[:300]}."
     )

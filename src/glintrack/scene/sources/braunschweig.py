@@ -112,8 +112,8 @@ def _data_folder() -> Path:
     folder = sumo_home() / "tools" / "game" / "bs3d"
     if not (folder / "bs3.3ds").is_file():
         raise ValueError(
-            "`traffic` must be the eclipse-sumo wheel with its game networks, got one without bs3d "
-            f"({install_line('traffic')})"
+            "`traffic` must be the eclipse-sumo wheel with its game networks; got one without bs3d. "
+            f"Run: {install_line('traffic')}"
         )
     return folder
 
@@ -177,5 +177,5 @@ def read_3ds(path: Path) -> tuple[Object3ds, ...]:
             raise ValueError("no main chunk")
         walk(0, len(data))
     except (struct.error, ValueError, IndexError) as error:
-        raise ValueError(f"`{path.name}` must be a whole 3DS file, got {error}") from error
+        raise ValueError(f"`{path.name}` must be a whole 3DS file; got {error}.") from error
     return tuple(thing for thing in objects if len(thing.faces))

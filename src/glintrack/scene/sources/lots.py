@@ -277,10 +277,10 @@ def pavement_parking(
         if not isinstance(row, LineString):
             continue
         for d in np.arange(8.0, row.length - 8.0, 5.9):
-            wanted, model = rng.random() < 0.6, int(rng.choice([0, 1, 2], p=[0.6, 0.33, 0.07]))
+            is_parked, model = rng.random() < 0.6, int(rng.choice([0, 1, 2], p=[0.6, 0.33, 0.07]))
             here, ahead = (np.array(row.interpolate(d + e).coords[0]) for e in (-2.2, 2.2))
             body = LineString([here, ahead]).buffer(0.85, cap_style="flat")
-            if not wanted or not area.contains(body) or blocked.intersects(body):
+            if not is_parked or not area.contains(body) or blocked.intersects(body):
                 continue
             if any(body.intersects(other) for other in taken[-200:]):
                 continue

@@ -179,12 +179,12 @@ def _hedges(lots: list[Frontage], free: BaseGeometry, rng: np.random.Generator) 
     for lot in lots:
         draw, leaf = rng.random(2), "leaf" if rng.random() < 0.6 else "leaf_walnut"
         side = -lot.width_m / 2 + 0.1 + HALF_WIDTH_M
-        wanted = []
+        hedges = []
         if draw[0] < 0.45:
-            wanted.append(LineString([lot.point(side, 1.6), lot.point(side, rng.uniform(14, 24))]))
+            hedges.append(LineString([lot.point(side, 1.6), lot.point(side, rng.uniform(14, 24))]))
         if draw[1] < 0.3:
-            wanted.append(LineString([lot.point(side + 0.6, 1.0), lot.point(lot.width_m / 2 - 3.8, 1.0)]))
-        pieces += [piece for line in wanted if free.contains(line) for piece in hedge_along(line, leaf)]
+            hedges.append(LineString([lot.point(side + 0.6, 1.0), lot.point(lot.width_m / 2 - 3.8, 1.0)]))
+        pieces += [piece for line in hedges if free.contains(line) for piece in hedge_along(line, leaf)]
     return pieces
 
 
@@ -249,11 +249,11 @@ def _office_park(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
         piece = footprint.intersection(inside)
         if piece.area < 150:
             continue
-        turned = rotate(max(polygons(piece), key=lambda p: p.area), rng.uniform(-4, 4))
-        placed.append(turned)
+        rotated = rotate(max(polygons(piece), key=lambda p: p.area), rng.uniform(-4, 4))
+        placed.append(rotated)
         roof = "roof_bitumen" if storeys != 5 else "roof_membrane"
         plan.buildings.append(
-            Building(turned, 3.5 * storeys, "flat", "concrete", roof, glazing="curtain", storey_m=3.5)
+            Building(rotated, 3.5 * storeys, "flat", "concrete", roof, glazing="curtain", storey_m=3.5)
         )
     rest = block.buffer(-9).difference(unary_union(placed).buffer(5))
     _car_park(plan, max(polygons(rest.buffer(-3).buffer(3)), key=lambda p: p.area), rng, occupancy=0.34)

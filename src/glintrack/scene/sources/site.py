@@ -38,10 +38,10 @@ class SceneOrigin:
         try:
             longitude, latitude = self.longitude_latitude_deg
         except (CRSError, ProjError) as error:
-            raise ValueError(f"`scene.crs` must be a CRS that PROJ knows, got {self.crs!r}") from error
+            raise ValueError(f"`scene.crs` must be a CRS that PROJ knows; got {self.crs!r}.") from error
         if not (np.isfinite(longitude) and np.isfinite(latitude)):
             raise ValueError(
-                f"`scene.crs` must reach ({self.easting_m:g}, {self.northing_m:g}), got {self.crs!r}"
+                f"`scene.crs` must reach ({self.easting_m:g}, {self.northing_m:g}); got {self.crs!r}."
             )
 
     def project(
@@ -131,7 +131,7 @@ def place_of(
         crs = pyproj.CRS.from_user_input(location.projection)
     except CRSError as error:
         raise ValueError(
-            f"`net_file` must have a projection that PROJ knows, got {location.projection!r}"
+            f"`net_file` must have a projection that PROJ knows; got {location.projection!r}."
         ) from error
     code = crs.to_epsg(min_confidence=20)
     known = f"EPSG:{code}" if code else location.projection
@@ -161,8 +161,8 @@ def read_traffic(
     if not traffic.count.size:
         raise ValueError(
             f"`{path.name}` must have a vehicle in the window, {reach[0]:.0f} to {reach[2]:.0f} m east and "
-            f"{reach[1]:.0f} to {reach[3]:.0f} m north of the network's coordinates, "
-            "got none (write it without --fcd-output.utm, from the same network)"
+            f"{reach[1]:.0f} to {reach[3]:.0f} m north of the network's coordinates; "
+            "got none. Write it without --fcd-output.utm, from the same network."
         )
     return traffic.shift(-x, -y), changes
 
@@ -188,8 +188,8 @@ def mesh_site(design: SceneDesign) -> Site:
     west, south, east, north = extent = design.extent_m if given else mesh.extent_m
     if (east - west) * (north - south) > LARGEST_M2:
         raise ValueError(
-            f"`mesh_file` must cover at most {LARGEST_M2 / 1e6:g} km², got {east - west:.0f} m × "
-            f"{north - south:.0f} m (give width_m and height_m of a window about its origin)"
+            f"`mesh_file` must cover at most {LARGEST_M2 / 1e6:g} km²; got {east - west:.0f} m × "
+            f"{north - south:.0f} m. Give width_m and height_m of a window about its origin."
         )
     if design.traffic_file:
         reach = expand_extent(extent, VEHICLE_MARGIN_M)

@@ -93,14 +93,14 @@ def _site(
     design: SceneDesign, net_path: Path, network: RoadNetwork, location: NetLocation, found: Polygons
 ) -> Site:
     if not network.of_kind("car"):
-        raise ValueError(f"`{net_path.name}` must have a lane for motor vehicles, got none")
+        raise ValueError(f"`{net_path.name}` must have a lane for motor vehicles; got none.")
     extent = design.extent_m
     assumptions: tuple[str, ...] = ()
     centre = design.centre_m
     if centre is None:
         centre = busiest_place(network, *design.size_m)
         assumptions += (
-            f"the window is put where the network is densest, about ({centre[0]:g}, {centre[1]:g})",
+            f"the window is put where the network is densest, about ({centre[0]:g}, {centre[1]:g}).",
         )
     place, more = place_of(design, location, centre, "network has no projection")
     degrees = place.longitude_latitude_deg
@@ -108,8 +108,8 @@ def _site(
     for pair in (degrees, degrees[::-1]):  # a small network has the town's degrees as metres too
         if design.centre_m and all(abs(a - b) < _NEAR_DEG for a, b in zip(centre, pair, strict=True)):
             raise ValueError(
-                f"`scene.centre_m` must be in the network's own coordinates, in m, got ({centre[0]:g}, "
-                f"{centre[1]:g}), which are the town's degrees (leave it out for the densest place)"
+                f"`scene.centre_m` must be in the network's own coordinates, in m; got ({centre[0]:g}, "
+                f"{centre[1]:g}), which are the town's degrees. Leave it out for the densest place."
             )
     window = box(*extent)
     area = area_with_margin(extent)
@@ -117,8 +117,8 @@ def _site(
     driven = sum(lane.line.intersection(window).length for lane in near.of_kind("car"))
     if driven < 50:
         raise ValueError(
-            f"`scene.centre_m` must put streets into the window, got {driven:.0f} m of lanes in "
-            f"{design.size_m[0]:g} × {design.size_m[1]:g} m about ({centre[0]:g}, {centre[1]:g})"
+            f"`scene.centre_m` must put streets into the window; got {driven:.0f} m of lanes in "
+            f"{design.size_m[0]:g} × {design.size_m[1]:g} m about ({centre[0]:g}, {centre[1]:g})."
         )
     recording, guessed = _traffic(design, net_path, network, near, centre, None if more else place)
     shapes = ((f, translate(f.shape, -centre[0], -centre[1])) for f in found.footprints)
@@ -139,8 +139,8 @@ def _driving_side(design: SceneDesign, network: RoadNetwork, place_deg: tuple[fl
     side, other = ("left", "right") if network.left_hand else ("right", "left")
     if design.left_hand not in (None, network.left_hand):
         raise ValueError(
-            f"`scene.left_hand` must be that of the network, whose traffic keeps {side}, got the other "
-            "(build it by netconvert with --lefthand or without)"
+            f"`scene.left_hand` must be that of the network, whose traffic keeps {side}; got the other. "
+            "Build it by netconvert with --lefthand or without."
         )
     if design.city == "osm":
         return f"traffic keeps {side}, as in the country (scene.left_hand)"

@@ -123,14 +123,14 @@ def check(found: Detections) -> Detections:
     for name, shape in shapes.items():
         if np.shape(getattr(found, name)) != shape:
             raise ValueError(
-                f"`detections.{name}` must have shape {shape} for {n} positions, "
-                f"got {np.shape(getattr(found, name))}"
+                f"`detections.{name}` must have shape {shape} for {n} positions; "
+                f"got {np.shape(getattr(found, name))}."
             )
     finite = (found.position, found.covariance, found.log_likelihood_ratio, found.velocity)
     if not all(np.isfinite(values).all() for values in finite if values is not None):
         raise ValueError(
-            "`detections` must have finite positions, covariances, likelihood ratios and velocities, "
-            "got some that are not"
+            "`detections` must have finite positions, covariances, likelihood ratios and velocities; "
+            "got some that are not."
         )
     return found
 

@@ -100,30 +100,30 @@ def grid_of(frame: Frame, expected: Grid | None) -> Grid:
     """
     grid = frame.grid if frame.image is None else _grid_of_image(frame.image)
     if grid is None:
-        raise ValueError("`frame` must have an image, or a grid without one, got neither")
+        raise ValueError("`frame` must have an image, or a grid without one; got neither.")
     if expected is not None and grid.shape != expected.shape:
-        raise ValueError(f"`image` must keep its size {expected.shape}, got {grid.shape}")
+        raise ValueError(f"`image` must keep its size {expected.shape}; got {grid.shape}.")
     if expected is not None and not np.allclose(
         (*grid.corner_m, grid.gsd_m), (*expected.corner_m, expected.gsd_m), atol=0.01 * grid.gsd_m
     ):
         raise ValueError(
-            f"`image` must keep its grid (corner {expected.corner_m}, GSD {expected.gsd_m:g} m), "
-            f"got corner {grid.corner_m}, GSD {grid.gsd_m:g} m"
+            f"`image` must keep its grid (corner {expected.corner_m}, GSD {expected.gsd_m:g} m); "
+            f"got corner {grid.corner_m}, GSD {grid.gsd_m:g} m."
         )
     return grid
 
 
 def _grid_of_image(image: xr.Dataset) -> Grid:
     if not isinstance(image, xr.Dataset) or not {"y", "x"} <= set(image.coords):
-        raise ValueError("`image` must be a Dataset with coordinates y and x [m], got none")
+        raise ValueError("`image` must be a Dataset with coordinates y and x [m]; got none.")
     schema.check(image.isel(y=slice(0, 1)), "image")
     for name, array in image.data_vars.items():
         axis = array.attrs.get("stokes_frame", "meridian")
         if axis != "meridian":
-            raise ValueError(f"`image.{name}` must be in the meridian frame, got {axis!r} (rectify it first)")
+            raise ValueError(f"`image.{name}` must be in the meridian frame; got {axis!r}. Rectify it first.")
     y, x = image["y"].values, image["x"].values
     if len(y) < 2 or len(x) < 2:
-        raise ValueError(f"`image` must have at least 2 × 2 pixels, got {len(y)} × {len(x)}")
+        raise ValueError(f"`image` must have at least 2 × 2 pixels; got {len(y)} × {len(x)}.")
     gsd_m = float(x[1] - x[0])
     # a hundredth of a pixel over the whole grid
     if not (
@@ -132,8 +132,8 @@ def _grid_of_image(image: xr.Dataset) -> Grid:
         and np.allclose(np.diff(y), -gsd_m, atol=0.01 * gsd_m)
     ):
         raise ValueError(
-            f"`image` must be a square grid, x rising and y falling, "
-            f"got steps {gsd_m:g} and {float(y[1] - y[0]):g} m"
+            f"`image` must be a square grid, x rising and y falling; "
+            f"got steps {gsd_m:g} and {float(y[1] - y[0]):g} m."
         )
     return Grid((len(y), len(x)), (float(x[0]), float(y[0])), gsd_m)
 
@@ -147,7 +147,7 @@ def plane(frame: Frame, name: str) -> Float[Array, "y x"]:
         If the frame has no image.
     """
     if frame.image is None:
-        raise ValueError("`frame` must have a rectified image for this detector, got none")
+        raise ValueError("`frame` must have a rectified image for this detector; got none.")
     values = np.ascontiguousarray(frame.image[name].values, dtype=np.float32)
     if "occluded" in frame.image:
         values = np.where(frame.image["occluded"].values > 0, np.float32(np.nan), values)

@@ -146,8 +146,8 @@ class MosaicDetector:
         side = len(mosaic.layout)
         if mosaic.electrons.shape != (camera.rows, camera.columns):
             raise ValueError(
-                f"`mosaic` must have the camera's {camera.rows} × {camera.columns} elements, "
-                f"got {mosaic.electrons.shape[0]} × {mosaic.electrons.shape[1]}"
+                f"`mosaic` must have the camera's {camera.rows} × {camera.columns} elements; "
+                f"got {mosaic.electrons.shape[0]} × {mosaic.electrons.shape[1]}."
             )
         grid = grid_of(frame, None)
         ground = empty_ground(grid, select_elements(mosaic.layout, frame.channel), side)
@@ -166,8 +166,8 @@ class MosaicDetector:
         if mosaic.layout != state.layout or mosaic.electrons.shape != (camera.rows, camera.columns):
             raise ValueError(
                 f"`mosaic` must keep the first frame's layout {state.layout} and the camera's "
-                f"{camera.rows} × {camera.columns} elements, got {mosaic.layout} and "
-                f"{mosaic.electrons.shape[0]} × {mosaic.electrons.shape[1]}"
+                f"{camera.rows} × {camera.columns} elements; got {mosaic.layout} and "
+                f"{mosaic.electrons.shape[0]} × {mosaic.electrons.shape[1]}."
             )
         ground, channel = state.ground, frame.channel
         seen = predict(ground, frame)

@@ -128,8 +128,8 @@ def raw_of(frame: Frame) -> tuple[Mosaic, Camera, Pose]:
     for name in ("mosaic", "camera", "pose"):
         if getattr(frame, name) is None:
             raise ValueError(
-                f"`frame.{name}` must be given for the detector 'mosaic', got none (rectified frames alone "
-                "need 'median-motion')"
+                f"`frame.{name}` must be given for the detector 'mosaic'; got none. Rectified frames alone "
+                "need 'median-motion'."
             )
     return cast(Mosaic, frame.mosaic), cast(Camera, frame.camera), cast(Pose, frame.pose)
 

@@ -102,8 +102,8 @@ def select_elements(layout: tuple[tuple[str | float, ...], ...], channel: str) -
     if channel == "dolp":
         if len(polarizers) < 3:
             raise ValueError(
-                "`mosaic` must have three polarizers in a superpixel for channel 'dolp', "
-                f"got {len(polarizers)}"
+                "`mosaic` must have three polarizers in a superpixel for channel 'dolp'; "
+                f"got {len(polarizers)}."
             )
         return tuple(polarizers)
     open_ = [place for place in every if place not in polarizers]

@@ -1,4 +1,4 @@
-"""Receiver operating characteristic: the same detections, tracked at each threshold.
+"""Free-response receiver operating characteristic: the same detections, tracked at each threshold.
 
 The tracker runs without frames and spectra. With existence reporting the limit of the false share is swept,
 else the score of initiation. Completeness against false tracks per frame: Presnar et al., Proc. SPIE 7672,
@@ -25,20 +25,20 @@ from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Grid
 from glintrack.track.files import DETECTIONS_DESIGN, as_rows, track_detections
 
-ROC_FALSE_SHARE = (0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3)
-ROC_SCORES = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)  # nat
-_SCORES = ("completeness", "false_per_epoch", "purity", "identity_switches")
+FROC_FALSE_SHARE = (0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3)
+FROC_SCORES = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)  # nat
+_SCORES = ("completeness", "false_per_frame", "purity", "identity_switches")
 
 
-def roc(
+def froc(
     table: DetectionTable,
     truth: xr.Dataset,
-    thresholds: Iterable[float] = ROC_SCORES,
+    thresholds: Iterable[float] = FROC_SCORES,
     design: TrackDesign | None = None,
     area_m: tuple[float, float, float, float] | None = None,
     match_distance_m: float = MATCH_DISTANCE_M,
 ) -> list[dict[str, float]]:
-    """Receiver operating characteristic: the tracker at each threshold of initiation.
+    """Free-response receiver operating characteristic: the tracker at each threshold of initiation.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def roc(
 
     Returns
     -------
-    A dictionary for each threshold: ``confirm_score``, ``completeness``, ``false_per_epoch``, ``custody``,
+    A dictionary for each threshold: ``confirm_score``, ``completeness``, ``false_per_frame``, ``custody``,
     ``purity`` and ``identity_switches``.
     """
     design, out = DETECTIONS_DESIGN if design is None else design, []
@@ -66,7 +66,7 @@ def roc(
     return out
 
 
-def flight_roc(
+def flight_froc(
     case: Case,
     channel: str,
     found: Sequence[tuple[float, Detections]],
@@ -88,11 +88,11 @@ def flight_roc(
     grid, area_m
         Grid of the tracker, and the scored area, as in `metrics.score_rows`. [m]
     thresholds
-        Values in addition to the design's own; by default `ROC_FALSE_SHARE` or `ROC_SCORES`.
+        Values in addition to the design's own; by default `FROC_FALSE_SHARE` or `FROC_SCORES`.
 
     Returns
     -------
-    ``completeness``, ``false_per_epoch``, ``purity`` and ``identity_switches`` over rising ``threshold``. Its
+    ``completeness``, ``false_per_frame``, ``purity`` and ``identity_switches`` over rising ``threshold``. Its
     attribute ``key`` names it: ``reporting.max_false_share`` with existence reporting, else
     ``initiation.confirm_score``; the attribute ``own`` is the design's own. Empty if nothing was detected
     or there is no truth.
@@ -104,9 +104,9 @@ def flight_roc(
     design = case.track.replace({"detect.channel": channel, "query.policy": "none", "roads.prior": False})
     used = design.effective(any(one.log_likelihood_ratio is not None for _, one in found))
     if used.reporting.uses_existence:
-        key, own, usual = "reporting.max_false_share", design.reporting.max_false_share, ROC_FALSE_SHARE
+        key, own, usual = "reporting.max_false_share", design.reporting.max_false_share, FROC_FALSE_SHARE
     else:
-        key, own, usual = "initiation.confirm_score", design.initiation.confirm_score, ROC_SCORES
+        key, own, usual = "initiation.confirm_score", design.initiation.confirm_score, FROC_SCORES
     swept = sorted({*map(float, usual if thresholds is None else thresholds), float(own)})
     if used.reporting.uses_existence:
         states = list(_states(design, found, grid))

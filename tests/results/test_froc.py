@@ -1,11 +1,11 @@
-"""The ROC of a flight: its own detections tracked again at each threshold of reporting or initiation."""
+"""The FROC of a flight: its own detections tracked again at each threshold of reporting or initiation."""
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from glintrack import metrics, track
-from glintrack.results.roc import flight_roc
+from glintrack.results.froc import flight_froc
 from glintrack.track.files import as_rows
 from tests.plain import plain_case
 
@@ -51,37 +51,37 @@ def detections(clutter=0, missed=0.0, seed=0, judged=False):
 
 
 def test_cars_alone_are_tracked_from_confirmation_on():
-    swept = flight_roc(plain_case({}), "pan", detections(), truth(), GRID, AREA_M, (6.0,))
+    swept = flight_froc(plain_case({}), "pan", detections(), truth(), GRID, AREA_M, (6.0,))
     # three hits, a second and eight metres come together at 1 s, in the first frame after learning
     assert swept["completeness"].values == 1.0
-    np.testing.assert_array_equal(swept["false_per_epoch"].values, 0)
+    np.testing.assert_array_equal(swept["false_per_frame"].values, 0)
     np.testing.assert_array_equal(swept["purity"].values, 1)
 
 
 def test_a_higher_threshold_costs_completeness_and_saves_false_tracks():
-    swept = flight_roc(plain_case({}), "dolp", detections(CLUTTER, 0.2), truth(), GRID, AREA_M)
+    swept = flight_froc(plain_case({}), "dolp", detections(CLUTTER, 0.2), truth(), GRID, AREA_M)
     assert swept["threshold"].values.tolist() == sorted(swept["threshold"].values)
     first, last = swept.isel(threshold=0), swept.isel(threshold=-1)
-    assert first["false_per_epoch"] > last["false_per_epoch"]
+    assert first["false_per_frame"] > last["false_per_frame"]
     assert first["completeness"] > last["completeness"]
 
 
 def test_the_designs_own_threshold_is_a_point():
     case = plain_case({"track": {"initiation": {"confirm_score": 7.5}}})
-    swept = flight_roc(case, "pan", detections(), truth(), GRID, AREA_M, (0.0, 20.0))
+    swept = flight_froc(case, "pan", detections(), truth(), GRID, AREA_M, (0.0, 20.0))
     assert swept["threshold"].values.tolist() == [0.0, 7.5, 20.0]
     assert swept.attrs["own"] == 7.5
 
 
 def test_an_interrupt_in_the_middle_of_a_frame():
     cut = truth().isel(row=slice(0, 3 * 20))  # the truth of a frame comes after its tracks
-    swept = flight_roc(plain_case({}), "pan", detections(), cut, GRID, AREA_M, (6.0,))
+    swept = flight_froc(plain_case({}), "pan", detections(), cut, GRID, AREA_M, (6.0,))
     assert np.isfinite(swept["completeness"].values).all()
 
 
 def test_nothing_seen_is_no_curve():
-    assert not flight_roc(plain_case({}), "pan", [], truth(), GRID, AREA_M)
-    assert not flight_roc(plain_case({}), "pan", detections(), xr.Dataset(), GRID, AREA_M)
+    assert not flight_froc(plain_case({}), "pan", [], truth(), GRID, AREA_M)
+    assert not flight_froc(plain_case({}), "pan", detections(), xr.Dataset(), GRID, AREA_M)
 
 
 def test_where_tracks_are_reported_by_existence_the_flight_as_flown_lies_on_its_curve():
@@ -89,10 +89,10 @@ def test_where_tracks_are_reported_by_existence_the_flight_as_flown_lies_on_its_
         {"track": {"reporting": {"method": "existence", "lag_s": 0.0}, "query": {"policy": "none"}}}
     )
     found = detections(CLUTTER, 0.2, judged=True)
-    swept = flight_roc(case, "pan", found, truth(), GRID, AREA_M)
+    swept = flight_froc(case, "pan", found, truth(), GRID, AREA_M)
     assert swept["threshold"].attrs["key"] == "reporting.max_false_share"
-    assert (np.diff(swept["false_per_epoch"].values) >= 0).all()
-    assert swept["false_per_epoch"].values[-1] > swept["false_per_epoch"].values[0]
+    assert (np.diff(swept["false_per_frame"].values) >= 0).all()
+    assert swept["false_per_frame"].values[-1] > swept["false_per_frame"].values[0]
     state, told = track.start(case.track.replace({"detect.channel": "pan"})), []
     for time_s, one in found:
         state = track.step_detections(state, one, time_s, GRID)
@@ -100,5 +100,5 @@ def test_where_tracks_are_reported_by_existence_the_flight_as_flown_lies_on_its_
     learnt_s = TIMES_S[case.track.count_learning_frames(case.flight.rate_hz)]
     flown = metrics.summarize(metrics.score_epochs(as_rows(told), truth(), AREA_M, first_s=learnt_s))
     own = swept.sel(threshold=swept.attrs["own"])
-    for name in ("completeness", "false_per_epoch", "purity"):
+    for name in ("completeness", "false_per_frame", "purity"):
         assert float(own[name]) == pytest.approx(flown[name])
