@@ -1,4 +1,4 @@
-"""Write the tables of docs/findings.md from the rows in docs/findings, and hold its sentences to them.
+"""Write the tables of docs/findings.md from the rows in docs/findings, and check its sentences against them.
 
     python tools/tabulate_findings.py          # writes the tables
     python tools/tabulate_findings.py --check  # says what differs, and ends with 1
@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 PAGE, ROWS = ROOT / "docs" / "findings.md", ROOT / "docs" / "findings"
 Row = dict[str, str]
 CHANNELS = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
-CHANCE = 0.05  # a star stands where chance alone gives so large a |t| in fewer studies
+CHANCE = 0.05  # a star marks rows whose |t| chance alone exceeds in fewer studies
 ESTIMATES = (  # columns of an estimate and of its interval
     ("effect", "low", "high"),
     ("score", "low", "high"),
@@ -43,7 +43,7 @@ TABLE1 = {
     ("pitch", "8.5 µm"): "8.5 µm, the same field",
     ("pitch", "8.5 µm, as many elements"): None,
     ("ortho.gsd_m", "0.75"): "rectified in 0.75 m",
-    ("sensor.oversampling", "1"): "one ray an element",
+    ("sensor.oversampling", "1"): "one ray per element",
     ("sensor.spectrometer_bandwidth_um", "0.1"): "bands of 0.1 µm",
     ("region", "0.4 to 2.5 µm"): "to 2.5 µm",
     ("platform", "navigation noise"): "a POS AV 510's noise",
@@ -53,8 +53,8 @@ TABLE1 = {
     ("sensor.polarizer", "ideal"): "ideal polarizers",
     ("elements", "depolarized"): "light behind a depolarizer",
     ("elements", "all pan"): "all elements pan",
-    ("elements", "adaptive, demosaicked as it lies"): "demosaicked as it lies, for rectified frames",
-    ("spectra", "at detection, of whoever"): "spectra of whoever",
+    ("elements", "adaptive, demosaicked as it lies"): "superpixel demosaicking, for rectified frames",
+    ("spectra", "at detection, of whoever"): "spectra of random vehicles",
     ("spectra", "at prediction"): "spectra of predictions",
     ("spectra", "none"): "no spectra",
     ("detector", "background"): "`background`",
@@ -90,7 +90,7 @@ def table1_rows() -> dict[tuple[str, str, str, str], Row]:
 
 def table1() -> Iterator[str]:
     """Table 1: what each row changes of the standard case."""
-    yield "| for the standard case's | pan | DoLP | all elements | seen, all elements |"
+    yield "| instead of the standard case | pan | DoLP | all elements | of visible, all elements |"
     yield "|" + " --- |" * 5
     found = table1_rows()
     for (axis, level), words in TABLE1.items():
@@ -111,7 +111,7 @@ def loss_budget() -> Iterator[str]:
         "completeness": "tracker",
         "custody": "custody",
     }
-    yield f"| for the standard case's | {' | '.join(stages.values())} |"
+    yield f"| instead of the standard case | {' | '.join(stages.values())} |"
     yield "|" + " --- |" * (len(stages) + 1)
     found = table1_rows()
     for (axis, level), words in TABLE1.items():
@@ -123,7 +123,7 @@ def loss_budget() -> Iterator[str]:
 def standard() -> Iterator[str]:
     """Tabulate the scores of each channel in the standard case."""
     columns = {"held_per_km2": 1, "completeness_visible": 3, "custody": 3, "purity": 3, "false_per_km2": 1}
-    yield "| | held per km² | of visible | custody | purity | false tracks per km² |"
+    yield "| | tracked per km² | of visible | custody | purity | false tracks per km² |"
     yield "|" + " --- |" * 6
     found = {(row["point"], row["channel"], row["response"]): row for row in rows_of("standard_points")}
     sensors = [(name, "adaptive", channel) for channel, name in CHANNELS.items()]
