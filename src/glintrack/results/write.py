@@ -177,9 +177,7 @@ def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
         if recorder.observer is not None and recorder.grid is not None:
             found, grid, area_of = recorder.found.get(channel, []), recorder.grid, recorder.areas.__getitem__
             truth = _node(tree, "truth")
-            nodes[f"{channel}/froc"] = flight_froc(
-                recorder.case, channel, found, truth, recorder.grid, area_of
-            )
+            nodes[f"{channel}/froc"] = flight_froc(recorder.case, channel, found, truth, grid, area_of)
     nodes["vehicles"] = recorder.vehicles()
     return xr.DataTree.from_dict(nodes)
 
