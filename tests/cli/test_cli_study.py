@@ -88,8 +88,8 @@ def test_failed_cases_are_told_and_the_exit_code_says_so(tmp_path, cheap_cases):
         (["bad.toml"], "Did you mean `pitch_um`?"),
         (["good.toml", "--serial", "--workers", "2"], "`--serial` must not be given"),
         (["report", "."], "`result` must be the folder of a study"),
-        (["quickstart", "--dry-run"], "got the case quickstart. Simulate it with glintrack run quickstart"),
-        (["mine.toml"], "got the case mine.toml. Simulate it with glintrack run mine.toml"),
+        (["quickstart", "--dry-run"], "got the case quickstart. Run `glintrack run quickstart`"),
+        (["mine.toml"], "got the case mine.toml. Run `glintrack run mine.toml`"),
         (["good.toml", "-o", "other"], "must be the folder of a study"),
     ],
 )

@@ -109,7 +109,7 @@ def test_packaged_cases_and_studies_are_listed_and_the_nearest_is_offered():
 
 
 def test_a_study_is_no_case():
-    with pytest.raises(ValueError, match=r"got the study table1.*glintrack study table1"):
+    with pytest.raises(ValueError, match=r"got the study table1.*Run `glintrack study table1`"):
         Case.from_toml(find_case("table1"))
 
 

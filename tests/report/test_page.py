@@ -176,9 +176,9 @@ def test_nothing_is_loaded_from_elsewhere(folder):
 
 
 def test_the_design_is_a_diff():
-    mine, base = Case().replace({"seed": 3, "sensor.f_number": 8.0}), Case()
+    mine, base = Case().replace({"seed": 3, "flight.off_nadir_deg": 40.0}), Case()
     changed = {key: (value, other) for key, value, other, differs in design_rows(mine, base) if differs}
-    assert changed == {"seed": ("3", "0"), "sensor.f_number": ("8", "5.6")}
+    assert changed == {"seed": ("3", "0"), "flight.off_nadir_deg": ("40", "50")}
     assert flatten({"a": {"b": [1.5, None]}, "c": ""}) == [("a.b", "1.5, –"), ("c", "–")]
 
 

@@ -111,7 +111,7 @@ def test_a_folder_that_is_no_result(tmp_path):
         with pytest.raises(ValueError, match=f"must be a folder that `glintrack run` wrote; got .*{what}"):
             read_result(tmp_path / name)
     (tmp_path / "study.json").write_text("{}")
-    with pytest.raises(ValueError, match=r"got the study .*glintrack report"):
+    with pytest.raises(ValueError, match=r"got a study.*glintrack report"):
         read_result(tmp_path)
 
 

@@ -213,7 +213,7 @@ def read_case(path: str | Path) -> dict[str, Any]:
     values = {"name": Path(path).stem, **read_toml(path, "case")}
     if _STUDY_MARKS & set(values):
         name = Path(path).stem if Path(path).parent == PACKAGED_CASES else path
-        raise ValueError(f"`case` must be a case; got the study {name}. Run it with glintrack study {name}.")
+        raise ValueError(f"`case` must be a case; got the study {name}. Run `glintrack study {name}`.")
     for key in ("case", "base"):
         if key in values:
             raise ValueError(

@@ -192,7 +192,7 @@ def _raster(path: Path, geotransform: Geotransform | None):
         if t.b or t.d or t.a <= 0 or t.e >= 0 or not math.isclose(t.a, -t.e, rel_tol=SQUARE):
             raise ValueError(
                 f"`frames` must be north-up with square pixels; got the transform {tuple(t)[:6]} in {path}. "
-                f"Rectify them first, see glintrack ortho."
+                f"Rectify them first with `glintrack ortho`."
             )
         geotransform = Geotransform(t.c, t.f, t.a)
         _check_grid(geotransform, f"`frames` ({path.name})")

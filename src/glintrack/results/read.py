@@ -233,7 +233,7 @@ def _check_folder(path: str | Path) -> Path:
         )
     if not any((folder / mark).is_file() for mark in _MARKS):
         if (folder / "study.json").is_file():
-            raise ValueError(f"{requirement}; got the study {folder}. Its page: glintrack report {folder}.")
+            raise ValueError(f"{requirement}; got a study. Show it: `glintrack report {folder}`.")
         raise ValueError(f"{requirement}; got {folder} without any of {', '.join(_MARKS)}.")
     return folder
 

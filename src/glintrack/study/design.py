@@ -157,7 +157,7 @@ def read_study(path: str | Path) -> StudyDesign:
     if _OF_CASES & set(values) and not {"axes", "case"} & set(values):
         named = Path(path).stem if Path(path).parent == PACKAGED_CASES else path
         raise ValueError(
-            f"`study` must be a study; got the case {named}. Simulate it with glintrack run {named}; a study "
+            f"`study` must be a study; got the case {named}. Run `glintrack run {named}`. A study "
             "names it as its `case`, and its variations under [axes]."
         )
     return validate_design(StudyDesign, {"name": Path(path).stem, **values})

@@ -119,7 +119,7 @@ class StudyFolder:
             raise ValueError(
                 f"`output` must have results of the current source code; got {self.path} of other source of "
                 f"glintrack {head['glintrack']} or other versions of {', '.join(DECIDE_SCORES)}. Choose "
-                "another -o, or go back; glintrack study report reads the folder as it is."
+                "another -o, or go back. `glintrack study report` reads the folder as it is."
             )
         if head["study"] != plan.key:
             raise ValueError(

@@ -83,7 +83,7 @@ def test_missing_system_library_names_the_debian_packages(monkeypatch, tmp_path)
     done = subprocess.CompletedProcess([], 127, "", text)
     monkeypatch.setattr(subprocess, "run", lambda *a, **k: done)
     with pytest.raises(
-        MissingExtraError, match=r"libX11.so.6 .*libx11-6 libxext6 libxrender1 libgl1 libexpat1"
+        MissingExtraError, match=r"libX11.so.6.*libx11-6 libxext6 libxrender1 libgl1 libexpat1"
     ):
         sumo.call_sumo(tmp_path, tmp_path, [str(tmp_path / "bin" / "sumo")])
 

@@ -369,7 +369,7 @@ def call_sumo(home: Path, folder: Path, command: list[str]) -> None:
         library = next((word for word in output.split() if ".so" in word), "a library").rstrip(":")
         raise MissingExtraError(
             f"`{program}` of SUMO must find its system libraries; got none for {library}. "
-            f"On Debian or Ubuntu: apt-get install {_DEBIAN_PACKAGES}."
+            f"On Debian or Ubuntu, run `apt-get install {_DEBIAN_PACKAGES}`."
         )
     errors = [line for line in output.splitlines() if "rror" in line] or output.strip().splitlines()
     raise ValueError(
