@@ -62,6 +62,16 @@ def test_the_papers_frame():
     assert found["footprint_share"] == 1 and found["beyond_window"] == 0
 
 
+def test_the_footprint_is_compared_with_the_scored_area():
+    """Half the sides of the paper's array, 440 × 280 elements, see 330 m × 327 m of 660 m × 420 m."""
+    half = Case().replace({"sensor.rows": 280, "sensor.columns": 440})
+    square = [[-100.0, -100.0], [100.0, -100.0], [100.0, 100.0], [-100.0, 100.0]]
+    wide = [[3 * x for x in corner] for corner in square]
+    for area, share in (("window", 0.389), (None, 1.0), ("footprint", 1.0), (square, 1.0), (wide, 0.299)):
+        case = half if area is None else half.replace({"scene.area": area})
+        assert view_quantities(case)["footprint_share"] == pytest.approx(share, rel=1e-2), area
+
+
 def test_diffraction_and_transfer_of_a_perfect_lens():
     """F/5.6 at 0.7 µm: cut-off 255.1 mm⁻¹, of which Nyquist at 3.45 µm is 0.5681; MTF 0.3177 × 2/π."""
     found = optics_quantities(DATA_SHEET)

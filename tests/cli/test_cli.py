@@ -228,7 +228,8 @@ def test_packaged_cases_are_valid(monkeypatch, name, capsys):
 
 
 def test_a_bad_case_is_simulated_with_force_only(monkeypatch, three_cars, case_file, tmp_path, capsys):
-    case_file.write_text(SMALL.replace("frames = 9", "frames = 9\nstare_east_m = 5000"), encoding="utf-8")
+    text = SMALL.replace("frames = 9", "frames = 9\nstare_east_m = 5000")
+    case_file.write_text(f"{text}[scene]\nwidth_m = 660\nheight_m = 420\n", encoding="utf-8")
     assert program(monkeypatch, "run", case_file, "-o", tmp_path / "out") == 2
     told = capsys.readouterr().err
     assert "must have no bad quantity; got 1: the stare point is" in told and "--force" in told

@@ -7,14 +7,17 @@ Light on the ground is that of a clear sky by SPCTRAL2, seen through haze by Kos
 
 import math
 import os
+import warnings
 
 import numpy as np
 import pvlib
 from jaxtyping import Float
+from shapely import Polygon
 
 from glintrack.atmosphere import is_solved, sun_direction
 from glintrack.atmosphere.design import RAYLEIGH_EXTINCTION_550_PER_KM, SCALE_HEIGHT_M
 from glintrack.camera import Camera, ground_points, project
+from glintrack.case.area import MIN_COVERED, fit_window
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
 from glintrack.core.spectral import quadrature_weights
@@ -63,7 +66,7 @@ def _off_nadir_deg(case: Case) -> float:
 
 
 def view_quantities(case: Case) -> dict[str, float]:
-    """Derive the sampling of ground and cars, and the footprint beside the window. [m, 1, °]"""
+    """Derive the sampling of ground and cars, and the footprint beside window and scored area. [m, 1, °]"""
     (across_m, along_m), (wide_m, high_m) = ground_view(case)
     found = {
         "gsd_across_m": across_m,
@@ -75,13 +78,20 @@ def view_quantities(case: Case) -> dict[str, float]:
     }
     if case.scene.uses_mesh_window:
         return found
-    east_m, north_m = case.scene.size_m
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the run says how the window grows
+        scene = fit_window(case).scene
+    east_m, north_m = scene.size_m
+    scored_m2 = Polygon(scene.area).area if isinstance(scene.area, tuple) else east_m * north_m
+    share = min(wide_m * high_m / scored_m2, 1.0)
+    if scene.area == "footprint" or (scene.area is None and share < MIN_COVERED):
+        share = 1.0
     beyond = (
         max(abs(case.flight.stare_east_m) - east_m / 2, 0.0),
         max(abs(case.flight.stare_north_m) - north_m / 2, 0.0),
     )
     return found | {
-        "footprint_share": min(wide_m * high_m / (east_m * north_m), 1.0),
+        "footprint_share": share,
         "beyond_window": math.hypot(*beyond) / (math.hypot(wide_m, high_m) / 2),
     }
 
