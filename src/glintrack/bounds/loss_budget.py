@@ -25,8 +25,8 @@ STAGE_LABELS: Mapping[str, str] = {
 STAGES = tuple(STAGE_LABELS)
 STAGES_NOTE = (
     'Down to "with reported poses" each stage detects in one frame, with less information than the stage '
-    "above. The detector in use, oracle association (detections joined by the truth) and the tracker use "
-    "several frames, so they can be higher. A loss is lasting if no later stage makes up for it."
+    "above. The detector in use, oracle association (the truth assigns detections to vehicles) and the "
+    "tracker use several frames, so they can be higher. A lasting loss is one that no later stage recovers."
 )
 DETECTION_STAGES = ("known_background", "predicted_background", "reported_pose", "detector")
 TRACKING_STAGES = ("oracle_association", "tracker")

@@ -202,7 +202,7 @@ def print_loss_budget(console: Console, tree: xr.DataTree) -> None:
     budgets = stage_shares(tree)
     if not budgets:
         return
-    title = f"of 100 moving vehicles, on {budget_frames(tree)} (stages: docs/theory/bounds.md)"
+    title = f"loss budget of 100 moving vehicles, {budget_frames(tree)} (docs/theory/bounds.md)"
     rows = []
     for stage in dict.fromkeys(stage for one in budgets.values() for stage in one):
         shares = (one.get(stage, math.nan) for one in budgets.values())
