@@ -68,7 +68,7 @@ def case_text(sheet: DataSheet, name: str) -> str:
     ValueError
         If a figure is missing, contradicts the catalogue or makes no valid case.
     """
-    least = math.ceil((MIN_SCORED_S + 3.0) * sheet.rate_hz)
+    least = math.ceil(2 * MIN_SCORED_S * sheet.rate_hz) + 1
     frames = max(_MIN_FRAMES, min(round(_FLIGHT_S * sheet.rate_hz), _MAX_FRAMES), least)
     flight = [(key, getattr(sheet, key), "") for key in ("altitude_m", "off_nadir_deg", "rate_hz")]
     flight.append(
