@@ -88,7 +88,7 @@ def check(
     count = Counter(one.answer for one in judgements)
     console.print(", ".join(f"{count[answer]} {answer}" for answer in ("good", "doubtful", "bad")))
     if count["bad"]:
-        console.print("glintrack run simulates this case with --force only")
+        console.print("`glintrack run` simulates this case with --force only")
 
 
 def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
