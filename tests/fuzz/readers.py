@@ -25,9 +25,10 @@ from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign
 from glintrack.devices.optical_constants import MetalDesign, permittivity
 from glintrack.flight.waypoints import read_waypoints
 from glintrack.io.detections import read_detections, read_tracks, read_truth
+from glintrack.io.heights import read_heights
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.orthoimages import Geotransform, open_frames
-from glintrack.io.photographs import read_camera, read_heights, read_picture, read_pose
+from glintrack.io.photographs import read_camera, read_picture, read_pose
 from glintrack.io.raw_mosaics import read_raw
 from glintrack.io.toml import read_toml
 from glintrack.report import build_page

@@ -9,7 +9,7 @@ import rasterio
 import rasterio.transform
 
 from glintrack.io.crs import change_crs, check_not_exchanged, longitude_latitude
-from glintrack.io.photographs import read_heights
+from glintrack.io.heights import read_heights
 
 
 def test_a_zones_middle_meridian():

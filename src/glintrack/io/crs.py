@@ -16,14 +16,19 @@ _OFF_MAP_DEG = 1.0  # outside the area of use of a CRS
 _MAX_SCALE_ERROR = 0.05  # conic projections of a continent have less, Pseudo-Mercator has more
 
 
-def metric_crs(crs: Any) -> pyproj.CRS:
-    """Return a projected CRS in metres, or raise ValueError."""
+def any_crs(crs: Any) -> pyproj.CRS:
+    """Return a CRS in any form that PROJ accepts, or raise ValueError."""
     try:
-        found = pyproj.CRS.from_user_input(crs)
+        return pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:
         raise ValueError(
-            f"`crs` must be a coordinate reference system such as EPSG:32618; got {crs!r}."
+            f"`crs` must be a coordinate reference system such as EPSG:32618, got {plain(crs, 60)!r}"
         ) from error
+
+
+def metric_crs(crs: Any) -> pyproj.CRS:
+    """Return a projected CRS in metres, or raise ValueError."""
+    found = any_crs(crs)
     if not found.is_projected or any(axis.unit_name != "metre" for axis in found.axis_info[:2]):
         raise ValueError(f"`crs` must be projected and in metres, as EPSG:32618 is; got {found.name}.")
     return found

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from glintrack.core.arrays import Array
 from glintrack.core.units import decimal_comma_hint
 from glintrack.io.tables import read_csv
+from glintrack.io.times import check_steps
 from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M
 
 POSITION = ("east_m", "north_m")
@@ -228,7 +229,8 @@ def _times_and_positions(
     position = _finite_numbers(table, path, POSITION)
     time_s = _finite_numbers(table, path, ("time_s",))[:, 0]
     if np.abs(time_s).max(initial=0) > MAX_TIME_S:
-        raise ValueError(f"`time_s` must be seconds within ±{MAX_TIME_S:g}; got others in {path}.")
+        raise ValueError(f"`time_s` must be seconds within ±{MAX_TIME_S:g}, got others in {path}")
+    check_steps(time_s, "time_s", path)
     far = np.flatnonzero(np.abs(position).max(axis=1, initial=0) > MAX_COORDINATE_M)
     if far.size:
         raise ValueError(

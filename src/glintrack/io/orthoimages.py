@@ -5,25 +5,25 @@ bands named I, Q and U, as glintrack writes them, give DoLP as well.
 """
 
 import math
-import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
-import rasterio
-import rasterio.errors
 import xarray as xr
-from rasterio.enums import ColorInterp
 
 from glintrack.core.arrays import Array
 from glintrack.core.installation import require_extra
 from glintrack.core.schema import RADIANCE
 from glintrack.io.crs import longitude_latitude, metric_crs
-from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M, check_file, check_netcdf, open_raster
+from glintrack.io.read_raster import open_bands, read_raster
+from glintrack.io.readings import report_reading
+from glintrack.io.stacks import open_stack
+from glintrack.io.times import check_rate, check_steps
+from glintrack.io.untrusted import MAX_CELL_M, MAX_CELLS, MAX_COORDINATE_M, check_file, natural_order
 
-_MIN_HZ, _MAX_HZ, _MIN_CELL_M = 1e-6, 1e6, 1e-4
+_MIN_CELL_M = 0.005  # a car has half a million of them
 _CHANNELS = ("all", "dolp", "pan")  # first part of the names of a result's frames
 _DEMUXERS = {
     **{".avi": "avi", ".mkv": "matroska", ".webm": "matroska"},
@@ -32,7 +32,8 @@ _DEMUXERS = {
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
 STACKS = (".nc", ".nc4", ".h5", ".zarr")
 RASTERS = ((".tif", ".tiff"), (".png",), (".jpg", ".jpeg"), (".jp2",), (".bmp",))  # in order of preference
-SQUARE = 1e-4  # relative tolerance of square pixels and regular steps
+SQUARE = 1e-4  # relative tolerance of square pixels
+_FIRST = 20  # frames whose times are checked before any work
 
 
 @dataclass(frozen=True)
@@ -86,15 +87,15 @@ def open_frames(
     ValueError
         In one sentence: the requirement and what was found.
     """
-    if rate_hz is not None and not _MIN_HZ <= rate_hz <= _MAX_HZ:
-        raise ValueError(f"`rate` must be {_MIN_HZ:g} to {_MAX_HZ:g} Hz; got {rate_hz:g}.")
+    if rate_hz is not None:
+        check_rate(rate_hz)
     if geotransform is not None:
-        _check_grid(geotransform, "`geotransform`")
+        check_grid(geotransform, "`geotransform`")
     suffix = path.suffix.lower()
     if not path.exists():
         raise ValueError(f"`frames` must be a folder or file that exists; got {path}.")
     if suffix in STACKS:
-        return _stack(path, rate_hz, geotransform)
+        return _from_stack(path, rate_hz, geotransform)
     if path.is_dir():
         return _rasters(path, rate_hz, geotransform)
     if suffix in VIDEOS:
@@ -103,7 +104,7 @@ def open_frames(
     raise ValueError(f"`frames` must be a folder of rasters, a stack or a video ({known}); got {path}.")
 
 
-def _check_grid(grid: Geotransform, what: str) -> None:
+def check_grid(grid: Geotransform, what: str) -> None:
     """Refuse pixels that no map can have."""
     is_near = all(abs(edge_m) <= MAX_COORDINATE_M for edge_m in (grid.west_m, grid.north_m))
     if not (is_near and _MIN_CELL_M <= grid.gsd_m <= MAX_CELL_M):
@@ -114,8 +115,8 @@ def _check_grid(grid: Geotransform, what: str) -> None:
 
 
 def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
-    kinds = ([p for p in folder.iterdir() if p.suffix.lower() in kind] for kind in RASTERS)
-    files = sorted(next((one for one in kinds if one), []), key=_natural_order)
+    kinds = [[p for p in folder.iterdir() if p.suffix.lower() in kind] for kind in RASTERS]
+    files = sorted(next((one for one in kinds if one), []), key=natural_order)
     if not files:
         known = " ".join(suffix for kind in RASTERS for suffix in kind)
         raise ValueError(f"`frames` must be a folder with rasters ({known}); got none in {folder}.")
@@ -125,26 +126,45 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
             f"`frames` must be of one channel; got {', '.join(channels)} in {folder}. Copy those of one "
             "channel into a folder."
         )
-    crs, (_, ground), bands = _raster(files[0], geotransform)
-    shape = next(iter(bands.values())).shape
-    _check_place(crs, ground)
-    dolp = {"I", "Q", "U"} <= set(bands)
+    first = _raster(files[0], geotransform)
+    _check_place(first.crs, first.grid)
+    dolp = {"I", "Q", "U"} <= set(first.bands)
+    count, others = sum(map(len, kinds)), {f"not {files[0].suffix}": sum(map(len, kinds)) - len(files)}
+    pan = "band pan" if "pan" in first.bands else f"mean of {', '.join(first.bands)}"
+    report_reading(folder, "frames", count, len(files), others, (f"radiance: {pan}", *first.notes))
+    if rate_hz is None:
+        check_steps(
+            [time for file in files[:_FIRST] if (time := _read_time(file)) is not None], "time_s", folder
+        )
 
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
         for k, file in enumerate(files):
-            own, (tag, grid), bands = _raster(file, geotransform)
-            _check_same_ground(file, (own, grid, next(iter(bands.values())).shape), (crs, ground, shape))
-            if tag is None and rate_hz is None:
-                raise ValueError(f"`frames` must have a tag time_s or need --rate; got neither in {file}.")
-            yield (k / rate_hz if rate_hz is not None else float(tag or 0.0)), image_of(bands, grid)
+            one = _raster(file, geotransform)
+            _check_same_ground(file, one, first)
+            if one.time_s is None and rate_hz is None:
+                raise ValueError(f"`frames` must have a tag time_s or need --rate, got neither in {file}")
+            time_s = k / rate_hz if rate_hz is not None else float(one.time_s or 0.0)
+            yield time_s, image_of(one.bands, one.grid)
 
-    return FrameSource(len(files), crs, dolp, frames())
+    return FrameSource(len(files), first.crs, dolp, frames())
 
 
-def _natural_order(path: Path) -> list[tuple[int, int, str]]:
-    """Sort key of names with numbers, 2 before 10."""
-    parts = re.split(r"([0-9]+)", path.name)
-    return [(0, int(part), part) if k % 2 else (1, 0, part) for k, part in enumerate(parts)]
+def _read_time(path: Path) -> float | None:
+    with open_bands(path, "frames", "readable rasters") as file:
+        return time_tag(file.tags(), path)
+
+
+def time_tag(tags: Mapping[str, str], path: Path) -> float | None:
+    """Tag ``time_s`` of a file; None without one. [s]"""
+    if (tag := tags.get("time_s")) is None:
+        return None
+    try:
+        time_s = float(tag)
+        if not math.isfinite(time_s):
+            raise ValueError(tag)
+    except ValueError as error:
+        raise ValueError(f"`time_s` must be a number of seconds, got {tag!r} in {path}") from error
+    return time_s
 
 
 def _check_place(crs: str | None, grid: Geotransform) -> None:
@@ -153,15 +173,31 @@ def _check_place(crs: str | None, grid: Geotransform) -> None:
         longitude_latitude(crs, np.array([grid.west_m]), np.array([grid.north_m]))
 
 
-def _check_same_ground(path: Path, mine: tuple, first: tuple) -> None:
+@dataclass(frozen=True)
+class _PlacedRaster:
+    """Bands of one frame, with its CRS, time [s], grid, and how its values were understood."""
+
+    crs: str | None
+    time_s: float | None
+    grid: Geotransform
+    bands: dict[str, Array]
+    notes: tuple[str, ...]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows and columns."""
+        return next(iter(self.bands.values())).shape
+
+
+def _check_same_ground(path: Path, mine: _PlacedRaster, first: _PlacedRaster) -> None:
     """Refuse a frame of another CRS, grid or size than the first."""
-    (crs, grid, shape), (first_crs, first_grid, first_shape) = mine, first
-    near = 1e-3 * first_grid.gsd_m
-    apart = [abs(a - b) > near for a, b in zip(astuple(grid), astuple(first_grid), strict=True)]
-    if crs != first_crs or shape != first_shape or any(apart):
+    near = 1e-3 * first.grid.gsd_m
+    apart = [abs(a - b) > near for a, b in zip(astuple(mine.grid), astuple(first.grid), strict=True)]
+    if mine.crs != first.crs or mine.shape != first.shape or any(apart):
         texts = [
-            f"{of} {place.west_m:.9g}, {place.north_m:.9g}: {size[1]} × {size[0]} cells of {place.gsd_m:g} m"
-            for of, place, size in (mine, first)
+            f"{one.crs} {one.grid.west_m:.9g}, {one.grid.north_m:.9g}: {one.shape[1]} × {one.shape[0]} cells "
+            f"of {one.grid.gsd_m:g} m"
+            for one in (mine, first)
         ]
         raise ValueError(
             f"`frames` must all have the first one's CRS, place and size, {texts[1]}; "
@@ -169,18 +205,9 @@ def _check_same_ground(path: Path, mine: tuple, first: tuple) -> None:
         )
 
 
-def _raster(path: Path, geotransform: Geotransform | None):
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            file = open_raster(path, "frames", "readable rasters")
-        with file:
-            t, tag, crs = file.transform, file.tags().get("time_s"), file.crs
-            seen = [k for k, kind in enumerate(file.colorinterp) if kind != ColorInterp.alpha] or [0]
-            names = [file.descriptions[k] or f"band {k + 1}" for k in seen]
-            values = file.read([k + 1 for k in seen], masked=True).astype(np.float32).filled(np.nan)
-    except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
-        raise ValueError(f"`frames` must be readable rasters; got {path}: {error}.") from error
+def _raster(path: Path, geotransform: Geotransform | None) -> _PlacedRaster:
+    raster = read_raster(path, "frames", "readable rasters")
+    t, crs = raster.transform, raster.crs
     if geotransform is not None and not t.is_identity:
         warnings.warn("--geotransform replaces the position in the files", stacklevel=2)
     if geotransform is None:
@@ -195,72 +222,30 @@ def _raster(path: Path, geotransform: Geotransform | None):
                 f"Rectify them first with `glintrack ortho`."
             )
         geotransform = Geotransform(t.c, t.f, t.a)
-        _check_grid(geotransform, f"`frames` ({path.name})")
-    try:
-        time_s = None if tag is None else float(tag)
-        if time_s is not None and not math.isfinite(time_s):
-            raise ValueError(tag)
-    except ValueError as error:
-        raise ValueError(f"`time_s` must be a number of seconds; got {tag!r} in {path}.") from error
+        check_grid(geotransform, f"`frames` ({path.name})")
     if crs is not None:
         metric_crs(crs.to_wkt())
-    return (crs.to_string() if crs else None), (time_s, geotransform), dict(zip(names, values, strict=True))
+    bands = dict(zip(raster.names, raster.bands, strict=True))
+    bands.pop("occluded", None)  # of glintrack ortho; hidden cells have no data
+    crs = crs.to_string() if crs else None
+    return _PlacedRaster(crs, time_tag(raster.tags, path), geotransform, bands, raster.notes)
 
 
-def _stack(path: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
-    zarr = path.suffix.lower() == ".zarr"
-    if not zarr:
-        check_netcdf(path, "frames")
-    try:
-        stack = xr.open_zarr(path) if zarr else xr.open_dataset(path, engine="h5netcdf")
-    except Exception as error:  # whatever a damaged file makes the decoders say
-        raise ValueError(f"`frames` must be a readable NetCDF-4 or Zarr stack; got {path}.") from error
-    names = [str(n) for n, v in stack.data_vars.items() if v.dims[-3:] == ("time", "y", "x")]
-    name = "pan" if "pan" in names else names[0] if len(names) == 1 else ""
-    if not name:
-        raise ValueError(
-            f"`frames` must hold one variable over time, y, x, or one called pan; got {names or 'none'} "
-            f"in {path}."
-        )
-    grid = geotransform or _grid_of(stack, path)
-    if rate_hz is None and "time" not in stack.coords:
-        raise ValueError(f"`frames` must have a coordinate time or come with --rate; got neither in {path}.")
-    count = stack.sizes["time"]
-    if rate_hz is not None:
-        times = np.arange(count) / rate_hz
-    elif np.issubdtype((times := stack["time"].values).dtype, np.datetime64):
-        times = (times - times[0]) / np.timedelta64(1, "s")
-    else:
-        times = times.astype(float)
-    if not np.isfinite(times).all():
-        raise ValueError(f"`time` must be finite at every frame; got others in {path}.")
-    crs = stack.attrs.get("crs", stack[name].attrs.get("crs"))
-    crs = None if crs is None else str(crs)
-    _check_place(crs, grid)
+def _from_stack(path: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
+    stack = open_stack(path)
+    grid = geotransform or Geotransform(*stack.corner_and_gsd(path))
+    times = stack.times_s(path, rate_hz)
+    check_grid(grid, f"`frames` ({path.name})")
+    _check_place(stack.crs, grid)
+    place = "no CRS" if stack.crs is None else metric_crs(stack.crs).name
+    report_reading(path, "frames", stack.count, stack.count, notes=(f"variable {stack.variable}", place))
 
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
-        with stack:
-            for k in range(count):
-                pan = stack[name].isel(time=k).values.astype(np.float32)
-                yield float(times[k]), image_of({"pan": pan}, grid)
+        with stack.dataset:
+            for k in range(stack.count):
+                yield float(times[k]), image_of({"pan": stack.frame(k)}, grid)
 
-    return FrameSource(count, crs, False, frames())
-
-
-def _grid_of(stack: xr.Dataset, path: Path) -> Geotransform:
-    if not {"x", "y"} <= set(stack.coords):
-        raise ValueError(
-            f"`frames` must have coordinates x and y in metres; got none in {path}. "
-            f"Give --geotransform WEST NORTH GSD."
-        )
-    x, y = stack["x"].values.astype(float), stack["y"].values.astype(float)
-    if len(x) < 2 or len(y) < 2:
-        raise ValueError(f"`frames` must have at least 2 × 2 pixels; got {len(y)} × {len(x)} in {path}.")
-    gsd = float(x[1] - x[0])
-    even = np.allclose(np.diff(x), gsd, rtol=SQUARE) and np.allclose(np.diff(y), -gsd, rtol=SQUARE)
-    if not (gsd > 0 and even):
-        raise ValueError(f"`frames` must have x rising and y falling in equal steps; got others in {path}.")
-    return Geotransform(float(x[0]) - gsd / 2, float(y[0]) + gsd / 2, gsd)
+    return FrameSource(stack.count, stack.crs, False, frames())
 
 
 def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
@@ -277,6 +262,8 @@ def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
     except (OSError, RuntimeError, StopIteration) as error:
         raise ValueError(f"`frames` must be a video that ffmpeg can read; got {path}.") from error
     width, height = about["size"]
+    if width * height > MAX_CELLS:
+        raise ValueError(f"`frames` must have at most {MAX_CELLS:,} pixels; got {width} × {height} in {path}")
     rate = rate_hz or float(about["fps"])
     grid = geotransform
 

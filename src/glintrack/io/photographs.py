@@ -1,35 +1,30 @@
-"""Read a photograph, its camera, its pose and the ground heights from files (docs/howto/my_frames.md).
+"""Read a photograph, its camera and its pose from files (docs/howto/my_frames.md).
 
 Coordinates are those of the pose file's projected CRS. Inside they start from an origin near the lens, for
 precision.
 """
 
 import math
-import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
 import pyproj
-import rasterio
-import rasterio.errors
 from jaxtyping import Float
 from pydantic import Field, model_validator
-from rasterio.enums import ColorInterp
-from rasterio.transform import Affine
-from rasterio.windows import Window
 
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design, types_of, validate_design
 from glintrack.core.distortion import Distortion
 from glintrack.io.crs import change_crs, check_not_exchanged, metric_crs, warn_off_map
+from glintrack.io.read_raster import read_raster
+from glintrack.io.readings import report_reading
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml, to_toml
-from glintrack.io.untrusted import check_heights, open_raster
 
 _ANGLES = (("heading_deg", "roll_deg", "pitch_deg"), ("omega_deg", "phi_deg", "kappa_deg"))
 _POSITIONS = (("easting_m", "northing_m"), ("longitude_deg", "latitude_deg"))
@@ -37,8 +32,6 @@ _ORIGIN_STEP_M = 1000.0
 _MAX_AFFINITY = 0.1  # of b1 and b2; sensors have less than 0.001
 _MIN_PITCH_UM = 0.1  # no detector array has smaller pixels
 _MAX_FIELD_DEG = 160.0  # of a frame camera across its longer side; wider ones are no pinholes
-_MAX_HEIGHTS = 400e6
-_COLOURS: tuple[ColorInterp, ...] = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
 
 
 def _optional(limit: float, description: str = "") -> Any:
@@ -167,30 +160,6 @@ def pose_file(placed: PlacedPose) -> str:
     return to_toml({"crs": placed.crs, **{k: float(v) for k, v in {**place, **angles}.items()}})
 
 
-@dataclass(frozen=True)
-class Heights:
-    """A raster of heights, in memory.
-
-    Parameters
-    ----------
-    values
-        Heights, NaN where there are none. [m]
-    to_pixel
-        Transform from its coordinates to (column, row), pixel centres at integers.
-    crs, name
-        CRS and file name.
-    """
-
-    values: Float[Array, "row column"]
-    to_pixel: Affine
-    crs: str
-    name: str
-
-
-class NotReachedError(ValueError):
-    """Heights do not cover the ground that a photograph sees."""
-
-
 def read_camera(path: Path) -> Camera:
     """Read a camera from a TOML file, its keys at the top or in a table ``[camera]``."""
     table = read_toml(path, "camera")
@@ -284,128 +253,7 @@ def _true_north(to_crs: pyproj.Transformer, x: float, y: float) -> float:
 
 
 def read_picture(path: Path) -> tuple[Float[Array, "row column band"], list[str], str]:
-    """Read the bands of a raster: float32, NaN where masked or transparent; their names; type in the file."""
-    with _open_raster(path, "FRAME", "an image") as file:
-        bands, kinds, dtype = _bands(file)
-        named = file.descriptions
-    if tuple(kinds[:3]) == _COLOURS:
-        named = [kind.name for kind in _COLOURS] + list(named[3:])
-    names = [named[k] if k < len(named) and named[k] else f"band_{k + 1}" for k in range(len(bands))]
-    return np.moveaxis(bands, 0, -1), [str(name) for name in names], dtype
-
-
-def _bands(file: rasterio.DatasetReader) -> tuple[Array, list[ColorInterp], str]:
-    """Bands of a picture without alpha, a palette as its colours, NaN where masked; their kinds and type."""
-    numbers = [k for k, kind in enumerate(file.colorinterp, start=1) if kind != ColorInterp.alpha] or [1]
-    kinds = [file.colorinterp[k - 1] for k in numbers]
-    dtype = np.result_type(*(file.dtypes[k - 1] for k in numbers)).name
-    if not np.issubdtype(dtype, np.integer):
-        return file.read(numbers, masked=True).astype(np.float32).filled(np.nan), kinds, dtype
-    # one mask for all bands: a pixel with no-data in blue alone is a colour
-    values, hidden = file.read(numbers), file.dataset_mask() == 0
-    if kinds == [ColorInterp.palette]:
-        colours = np.zeros((int(values.max(initial=0)) + 1, 4), np.float32)
-        for number, colour in file.colormap(1).items():
-            if number < len(colours):
-                colours[number] = colour
-        shown = np.moveaxis(colours[values[0]], -1, 0)
-        values, hidden, kinds = shown[:3], hidden | (shown[3] == 0), [*_COLOURS]
-    bands = values.astype(np.float32)
-    bands[:, hidden] = np.nan
-    return bands, kinds, dtype
-
-
-def read_height_range(path: Path, option: str) -> tuple[float, float]:
-    """Read the lowest and highest height of a raster, from an overview of it. [m]"""
-    with _open_heights(path, option) as file:
-        size = min(file.height, 1024), min(file.width, 1024)
-        values = file.read(1, out_shape=size, masked=True).astype(float).compressed()
-    values = values[np.isfinite(values)]
-    check_heights(values, option, path.name)
-    if values.size == 0:
-        raise ValueError(f"`{option}` must hold heights; got none in {path.name}.")
-    return float(values.min()), float(values.max())
-
-
-def read_heights(
-    path: Path, option: str, x: Float[Array, "*place"], y: Float[Array, "*place"], crs: str
-) -> Heights:
-    """Read the part of a raster of heights that lies under some positions.
-
-    Parameters
-    ----------
-    path, option
-        File, and its name in error messages.
-    x, y, crs
-        Positions, and their CRS; any.
-
-    Raises
-    ------
-    ValueError
-        If the file is no raster, has no CRS, or does not cover the positions at all.
-    """
-    with _open_heights(path, option) as file:
-        own = file.crs.to_wkt()
-        transform = change_crs(crs, own).transform
-        places = np.stack(transform(np.ravel(x), np.ravel(y)))
-        places = places[:, np.isfinite(places).all(axis=0)]
-        if places.size == 0:
-            raise ValueError(
-                f"`{option}` must reach the frame's ground; got {path.name}, whose CRS does not reach it."
-            )
-        pixel = np.stack(transform_points(~file.transform, *places))
-        low, high = np.floor(pixel.min(axis=1)) - 3, np.ceil(pixel.max(axis=1)) + 3
-        low, high = np.maximum(low, 0), np.minimum(high, (file.width, file.height))
-        if not (high - low >= 1).all():  # also if they are NaN
-            raise NotReachedError(
-                f"`{option}` must reach the frame's ground; got {path.name} over "
-                f"{', '.join(f'{v:.6g}' for v in file.bounds)} in {file.crs}."
-            )
-        if np.prod(high - low) > _MAX_HEIGHTS:
-            raise ValueError(
-                f"`{option}` must be coarser, or `area` smaller; got {np.prod(high - low):.3g} heights."
-            )
-        window = Window(*low, *(high - low))  # pyright: ignore[reportCallIssue]
-        values = file.read(1, window=window, masked=True).astype(float).filled(np.nan)
-        check_heights(values, option, path.name)
-        corner = file.window_transform(window)
-    half = Affine.translation(-0.5, -0.5)  # from corners to centres
-    return Heights(values, half * ~corner, own, path.name)
-
-
-def is_within(path: Path, option: str, x: float, y: float, crs: str) -> bool:
-    """Return True if a position lies in a raster, or outside by at most its width."""
-    with _open_heights(path, option) as file:
-        place = change_crs(crs, file.crs.to_wkt()).transform(x, y)
-        column, row = transform_points(~file.transform, *(np.asarray(v) for v in place))
-        return bool(abs(column / file.width - 0.5) <= 1.5 and abs(row / file.height - 0.5) <= 1.5)
-
-
-def transform_points(
-    affine: Affine, x: Float[Array, "*place"], y: Float[Array, "*place"]
-) -> tuple[Array, Array]:
-    """Transform positions by an affine transform."""
-    return affine.a * x + affine.b * y + affine.c, affine.d * x + affine.e * y + affine.f
-
-
-@contextmanager
-def _open_raster(path: Path, name: str, requirement: str = "a raster") -> Iterator[rasterio.DatasetReader]:
-    """Open a raster without a warning that it has no position; a file cut short is reported."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        file = open_raster(path, name, requirement)
-    with file:
-        try:
-            yield file
-        except rasterio.errors.RasterioError as error:
-            raise ValueError(f"`{name}` must be a whole raster; got {path}.") from error
-
-
-@contextmanager
-def _open_heights(path: Path, option: str) -> Iterator[rasterio.DatasetReader]:
-    with _open_raster(path, option) as file:
-        if file.crs is None:
-            raise ValueError(
-                f"`{option}` must have a CRS; got none in {path.name}. Set it: gdal_edit.py -a_srs …"
-            )
-        yield file
+    """Read the bands of a photograph: values, NaN where masked; their names; type of the values."""
+    raster = read_raster(path, "FRAME", "an image", north_up=False)
+    report_reading(path, "bands", len(raster.bands), len(raster.bands), notes=raster.notes)
+    return np.moveaxis(raster.bands, 0, -1), list(raster.names), raster.dtype

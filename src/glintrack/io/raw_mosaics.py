@@ -1,23 +1,24 @@
 """Read raw mosaics of a polarization camera: 8- to 16-bit TIFF, PNG and other rasters, and NumPy files."""
 
-import warnings
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
-import rasterio.errors
 from jaxtyping import UInt
 
 from glintrack.core.arrays import Array
-from glintrack.io.untrusted import check_file, open_raster
+from glintrack.io.read_raster import open_bands
+from glintrack.io.untrusted import check_file, natural_order
 
 RAW_SUFFIXES = (".tif", ".tiff", ".png", ".npy")
+_UNFRAMED = (".raw", ".bin", ".dat", ".img")  # endings of counts without a header
+_UNPACK = "(unpack counts of 12 bits to 16 and save them by numpy.save: docs/howto/my_polarization_camera.md)"
 _MAX_NPY_BYTES = 800_000_000
 _MAX_HEADER_BYTES = 4096
 
 
 def raw_files(sources: list[Path]) -> list[Path]:
-    """List raws of files and of folders, those of a folder in the order of their names.
+    """List raws of files and of folders in the natural order of their paths, 2 before 10.
 
     Raises
     ------
@@ -28,10 +29,14 @@ def raw_files(sources: list[Path]) -> list[Path]:
     for source in sources:
         inside = [source]
         if source.is_dir():
-            inside = sorted(p for p in source.iterdir() if p.suffix.lower() in RAW_SUFFIXES)
+            inside = [p for p in source.iterdir() if p.suffix.lower() in RAW_SUFFIXES]
         if not inside:
-            raise ValueError(f"`RAW` must hold raws ({' '.join(RAW_SUFFIXES)}); got none in {source}.")
+            remedy = _UNPACK if any(p.suffix.lower() in _UNFRAMED for p in source.iterdir()) else ""
+            raise ValueError(
+                f"`RAW` must hold raws ({' '.join(RAW_SUFFIXES)}), got none in {source} {remedy}"
+            )
         found += inside
+    found.sort(key=natural_order)
     repeated = sorted(stem for stem, count in Counter(path.stem for path in found).items() if count > 1)
     if repeated:
         raise ValueError(f"`RAW` must have names that differ before the ending; got {repeated[0]} twice.")
@@ -70,14 +75,11 @@ def _check_type(path: Path, dtype: np.dtype, bands: int) -> None:
 
 
 def _read_raster(path: Path) -> Array:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            with open_raster(path, "RAW", "a raw mosaic") as file:
-                _check_type(path, np.dtype(file.dtypes[0]), file.count)
-                return file.read(1)
-    except rasterio.errors.RasterioError as error:
-        raise ValueError(f"`RAW` must be a whole raw mosaic; got {path}.") from error
+    if path.suffix.lower() in _UNFRAMED and not path.with_suffix(".hdr").exists():
+        raise ValueError(f"`RAW` must be a file that states its size and bits; got {path} {_UNPACK}")
+    with open_bands(path, "RAW", "a raw mosaic") as file:
+        _check_type(path, np.dtype(file.dtypes[0]), file.count)
+        return file.read(1)
 
 
 def _read_npy(path: Path) -> Array:
@@ -91,7 +93,7 @@ def _read_npy(path: Path) -> Array:
         ) from error
     if not isinstance(mapped, np.ndarray) or mapped.ndim != 2:
         shape = getattr(mapped, "shape", "no array")
-        raise ValueError(f"`RAW` must be one mosaic, rows × columns; got {shape} in {path}.")
+        raise ValueError(f"`RAW` must be one mosaic, rows × columns, got {shape} in {path} {_UNPACK}")
     dtype = mapped.dtype.newbyteorder("=")
     _check_type(path, dtype, 1)
     return np.array(mapped, dtype, order="C")

@@ -49,7 +49,7 @@ RASTER_DRIVERS = (
     *("GTiff", "PNG", "JPEG", "JP2OpenJPEG", "WEBP", "BMP"),
     *("ENVI", "EHdr", "AAIGrid", "HFA", "SRTMHGT", "DTED"),
 )
-_MAX_CELLS = 400_000_000
+MAX_CELLS = 400_000_000
 _MAX_CELLS_PER_BYTE = 4000  # more than a megacell from a kilobyte is no picture
 _ALWAYS_ALLOWED_CELLS = 25_000_000
 _PROJ_VARIABLES = ("PROJ_DATA", "PROJ_LIB")
@@ -87,6 +87,12 @@ def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Pa
             f"`{name}` must have at most {most_bytes / 1e6:g} MB; got {path} with {size / 1e6:.0f}."
         )
     return path
+
+
+def natural_order(path: Path) -> list[tuple[int, int, str]]:
+    """Sort key of paths with numbers, 2 before 10."""
+    parts = re.split(r"([0-9]+)", str(path))
+    return [(0, int(part), part) if k % 2 else (1, 0, part) for k, part in enumerate(parts)]
 
 
 def resolve_path(path: str | Path) -> Path:
@@ -329,11 +335,11 @@ def open_raster(path: str | Path, name: str, requirement: str = "a raster") -> "
     cells, corner = file.width * file.height * file.count, tuple(file.transform)[:6]
     fault = ""
     if file.driver == "PNG" and not _is_whole_png(path):
-        fault = f"`{name}` must be a whole PNG file; got {path}, which is cut off or damaged."
-    elif cells > min(_MAX_CELLS, max(_ALWAYS_ALLOWED_CELLS, _MAX_CELLS_PER_BYTE * path.stat().st_size)):
+        fault = f"`{name}` must be a whole PNG file, got {path}, which is cut off or damaged"
+    elif cells > min(MAX_CELLS, max(_ALWAYS_ALLOWED_CELLS, _MAX_CELLS_PER_BYTE * path.stat().st_size)):
         fault = (
-            f"`{name}` must have at most {_MAX_CELLS:.0e} cells, and data for them; got {path} with "
-            f"{file.width} × {file.height} × {file.count}."
+            f"`{name}` must have at most {MAX_CELLS:,} cells, and data for them, got {path} with "
+            f"{file.width} × {file.height} × {file.count}"
         )
     elif not all(abs(value) <= MAX_COORDINATE_M for value in corner):
         fault = (

@@ -1,7 +1,7 @@
 """Scores of tables: tracks and truth with one row per object and epoch."""
 
-import math
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
@@ -24,7 +24,7 @@ from glintrack.metrics.tracks import (
 )
 
 SAME_TIME_S = 1e-3  # times in files are rounded
-Areas = Area | Callable[[float], Area]  # the same at each epoch, or a function of the epoch [s]
+_REGULAR = 5  # steps between the times of tracks, all of one length, that show their rate
 
 
 def score_rows(
@@ -55,10 +55,16 @@ def score_rows(
     Raises
     ------
     ValueError
-        If a track has a row at a time that the truth does not have.
+        If no track has a row at a time of the truth.
+
+    Warns
+    -----
+    UserWarning
+        If only some times of tracks and truth are common: the others are not scored.
     """
-    area_of = _area_function(area_m, truth)
-    scores = score_epochs(tracks, truth, area_m, match_distance_m, moving_speed_m_s)
+    area = Extent(*area_m) if area_m else _area(truth)
+    (tracks,), truth = _at_common_times([tracks], truth)
+    scores = score_epochs(tracks, truth, area, match_distance_m, moving_speed_m_s)
     epochs, of_vehicles = _epochs_of(truth)
     of_tracks = _split(_epoch_of(tracks, epochs), len(epochs))
     (vehicles, vehicle_m), (found, track_m) = _objects(truth, "vehicle_id"), _objects(tracks, "track_id")
@@ -98,7 +104,9 @@ def score_tables(
     first_s: float = -math.inf,
 ) -> list[list[EpochScore]]:
     """Score several tables of tracks against the same truth like `score_epochs`."""
-    area_of, out = _area_function(area_m, truth), []
+    area = Extent(*area_m) if area_m else _area(truth)
+    tables, truth = _at_common_times(tables, truth)
+    area_km2, out = window_km2(area), []
     epochs, of_vehicles = _epochs_of(truth)
     areas, vehicles = [area_of(time_s) for time_s in epochs.tolist()], []
     if len(epochs):
@@ -148,8 +156,8 @@ def _split(index: Int[Array, "row"], count: int) -> list[Array]:
     return np.split(order, np.searchsorted(index[order], np.arange(1, count)))
 
 
-def _epoch_of(tracks: xr.Dataset, epochs: Float[Array, "epoch"]) -> Array:
-    """Index of the epoch of each row."""
+def _epoch_of(tracks: xr.Dataset, epochs: Float[Array, "epoch"]) -> Int[Array, "row"]:
+    """Index of the epoch of each row; -1 at another time."""
     if not tracks.sizes.get("row"):
         return np.empty(0, int)
     time_s = tracks["time_s"].values.astype(float)
@@ -158,13 +166,45 @@ def _epoch_of(tracks: xr.Dataset, epochs: Float[Array, "epoch"]) -> Array:
     after = np.minimum(np.searchsorted(epochs, time_s), len(epochs) - 1)
     before = np.maximum(after - 1, 0)
     index = np.where(np.abs(epochs[before] - time_s) <= np.abs(epochs[after] - time_s), before, after)
-    apart = np.abs(epochs[index] - time_s) > SAME_TIME_S
-    if apart.any():
+    return np.where(np.abs(epochs[index] - time_s) <= SAME_TIME_S, index, -1)
+
+
+def _at_common_times(tables: Sequence[xr.Dataset], truth: xr.Dataset) -> tuple[list[xr.Dataset], xr.Dataset]:
+    """Select the rows of tracks and truth at common times, and warn of the others.
+
+    An epoch of the truth without tracks counts, unless the tracks are at every nth epoch and it is between.
+    """
+    epochs, _ = _epochs_of(truth)
+    of_rows = [_epoch_of(table, epochs) for table in tables]
+    known = [table["time_s"].values for table in tables if table.sizes.get("row")]
+    times_s = np.unique(np.concatenate([*known, np.empty(0)]))
+    common = np.unique(np.concatenate([*of_rows, np.empty(0, int)]))
+    common = common[common >= 0]
+    if len(times_s) and not len(common):
         raise ValueError(
-            f"`tracks` must have the truth's times; got {int(apart.sum())} rows at others, the first at "
-            f"{time_s[apart][0]:g} s where the truth's lie between {epochs[0]:g} and {epochs[-1]:g} s."
+            f"`tracks` must have times of the truth; got {times_s[0]:g} to {times_s[-1]:g} s, and the "
+            f"truth's {len(epochs):,} times from {epochs[0]:g} to {epochs[-1]:g} s are others (do both count "
+            "from the same second?)"
         )
-    return index
+    steps, selected = np.diff(common), np.ones(len(epochs), bool)
+    every = int(np.gcd.reduce(steps)) if len(steps) >= _REGULAR and np.median(steps) == steps.min() else 1
+    if every > 1 and every == steps.min():
+        selected = (np.arange(len(epochs)) - common[0]) % every == 0
+    strays = len(times_s) - len(common)
+    if strays > 0:
+        warnings.warn(
+            f"tracks have {len(times_s):,} times, {strays:,} of which are not the truth's: not scored",
+            stacklevel=4,
+        )
+    if not selected.all():
+        warnings.warn(
+            f"tracks are at every {every}th of the truth's {len(epochs):,} times: scored at "
+            f"{selected.sum():,} of them",
+            stacklevel=4,
+        )
+        truth = truth.isel(row=selected[np.searchsorted(epochs, truth["time_s"].values)])
+    of_rows = [k >= 0 for k in of_rows]
+    return [t.isel(row=k) if not k.all() else t for t, k in zip(tables, of_rows, strict=True)], truth
 
 
 def _area_function(area_m: Areas | None, truth: xr.Dataset) -> Callable[[float], Area]:

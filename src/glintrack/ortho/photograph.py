@@ -12,7 +12,8 @@ from glintrack.camera import Camera, rays
 from glintrack.core.arrays import Array
 from glintrack.core.schema import check
 from glintrack.io import images, netcdf
-from glintrack.io.photographs import PlacedPose, read_camera, read_height_range, read_picture, read_pose
+from glintrack.io.heights import read_height_range
+from glintrack.io.photographs import PlacedPose, read_camera, read_picture, read_pose
 from glintrack.io.untrusted import MAX_HEIGHT_M, MIN_HEIGHT_M
 from glintrack.ortho.rasters import (
     MapGrid,

@@ -13,16 +13,17 @@ from rasterio.warp import Resampling, reproject
 
 from glintrack.camera import Camera, ground_points
 from glintrack.core.arrays import Array
-from glintrack.io.photographs import (
+from glintrack.io.heights import (
     Heights,
     NotReachedError,
-    PlacedPose,
     is_within,
     read_height_range,
     read_heights,
     transform_points,
 )
-from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M, open_raster
+from glintrack.io.photographs import PlacedPose
+from glintrack.io.read_raster import read_raster
+from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M
 from glintrack.ortho.grid import heights_at, transform_axes, transform_places
 from glintrack.ortho.image_shift import displacement_between
 from glintrack.ortho.occlusion import occlusion_mask
@@ -153,20 +154,18 @@ def _at(heights: Heights, x: Array, y: Array) -> Array:
 def displacement_against(bands: Array, path: Path, grid: MapGrid) -> tuple[float, float]:
     """Displacement of a rectified image against a reference raster. [cell]"""
     reference = np.full(bands.shape[:2], np.nan)
+    source = read_raster(path, "register")
+    if source.crs is None:
+        raise ValueError(f"`register` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)")
+    corner = from_origin(grid.x[0] - grid.gsd / 2, grid.y[0] + grid.gsd / 2, grid.gsd, grid.gsd)
     try:
-        with open_raster(path, "register") as file:
-            if file.crs is None:
-                raise ValueError(
-                    f"`register` must have a CRS; got none in {path.name}. Set it: gdal_edit.py -a_srs …"
-                )
-            corner = from_origin(grid.x[0] - grid.gsd / 2, grid.y[0] + grid.gsd / 2, grid.gsd, grid.gsd)
-            reproject(
-                file.read(1, masked=True).astype(float).filled(np.nan), reference,
-                src_transform=file.transform, src_crs=file.crs, src_nodata=np.nan,
-                dst_transform=corner, dst_crs=grid.crs, dst_nodata=np.nan, resampling=Resampling.bilinear,
-            )  # fmt: skip
+        reproject(
+            source.bands[0].astype(float), reference,
+            src_transform=source.transform, src_crs=source.crs, src_nodata=np.nan,
+            dst_transform=corner, dst_crs=grid.crs, dst_nodata=np.nan, resampling=Resampling.bilinear,
+        )  # fmt: skip
     except RasterioError as error:
-        raise ValueError(f"`register` must be a raster that GDAL reads; got {path}.") from error
+        raise ValueError(f"`register` must be a raster that GDAL projects, got {path}") from error
     rows, columns, _ = displacement_between(bands[..., 0], reference)
     if not math.isfinite(rows):
         raise ValueError(

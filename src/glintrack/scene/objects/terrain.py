@@ -5,8 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pyproj
-import rasterio
-import rasterio.errors
 import rasterio.transform
 import xarray as xr
 from jaxtyping import Float
@@ -15,7 +13,8 @@ from rasterio.warp import Resampling, reproject
 from glintrack.core import schema
 from glintrack.core.arrays import Array
 from glintrack.core.interpolation import height_at
-from glintrack.io.untrusted import check_heights, open_raster, plain
+from glintrack.io.heights import NotReachedError, read_heights
+from glintrack.io.untrusted import plain
 from glintrack.scene.objects.geometry import Patch
 
 STEP_M = 10.0
@@ -76,25 +75,24 @@ def read_dem(
     to_scene = rasterio.transform.from_origin(
         x[0] - STEP_M / 2 + origin_m[0], y[0] + STEP_M / 2 + origin_m[1], STEP_M, STEP_M
     )
+    places = np.meshgrid(x + origin_m[0], y + origin_m[1])
     try:
-        with open_raster(path, "dem_file") as file:
-            if file.crs is None:
-                raise ValueError(
-                    f"`dem_file` must have a CRS; got none in {path.name}. Set it: gdal_edit.py -a_srs …"
-                )
-            band = file.read(1, masked=True).astype(float).filled(np.nan)
-            check_heights(band, "dem_file", path.name)
-            reproject(
-                band,
-                height,
-                src_transform=file.transform,
-                src_crs=file.crs,
-                src_nodata=np.nan,
-                dst_transform=to_scene,
-                dst_crs=pyproj.CRS.from_user_input(crs).to_wkt(),
-                dst_nodata=np.nan,
-                resampling=Resampling.bilinear,
-            )
+        read = read_heights(path, "dem_file", *places, crs)
+        reproject(
+            read.values,
+            height,
+            src_transform=read.transform,
+            src_crs=read.crs,
+            src_nodata=np.nan,
+            dst_transform=to_scene,
+            dst_crs=pyproj.CRS.from_user_input(crs).to_wkt(),
+            dst_nodata=np.nan,
+            resampling=Resampling.bilinear,
+        )
+    except NotReachedError:
+        pass  # reported below, with the bounds of the scene
+    except ValueError:
+        raise
     except Exception as error:  # errors of GDAL itself have no public class
         raise ValueError(
             f"`dem_file` must be a raster that GDAL reads and projects; got {path.name}: {plain(error, 200)}."

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from scipy.ndimage import maximum_filter
 
 from glintrack.core.arrays import Array
+from glintrack.io.times import MAX_STEP_S
 from glintrack.track.design import DetectDesign
 from glintrack.track.detect import registration, sliding_median
 from glintrack.track.detect.detections import Association, Detections, no_detections
@@ -83,8 +84,10 @@ class MedianMotionDetector:
     def detect(self, state: MotionMemory, frame: Frame) -> Detections:
         """Detect vehicles that move straight through this frame and two before it.
 
-        There are none in the first two frames, nor in a frame that repeats the last one.
+        There are none in the first two frames, also after a pause, nor in a frame that repeats the last one.
         """
+        if state.past and frame.time_s - state.past[-1].times_s[-1] > MAX_STEP_S:
+            state = MotionMemory(state.grid)
         grid, last = state.grid, state.seen
         seen = {name: _read_plane(self.design, frame, name) for name in frame.planes}
         if last is not None and all(np.array_equal(one, last[n], equal_nan=True) for n, one in seen.items()):

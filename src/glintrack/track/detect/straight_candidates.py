@@ -25,6 +25,7 @@ MIN_RATIO, MAX_RATIO = -0.5, 9.0  # of candidates
 MIN_SPEED_M_S = 1.5
 BEFORE = 3  # earlier frames that are searched
 SEEN_SHARE = 0.5  # of the present strength: from it on a fourth frame contains the vehicle
+MAX_REACH_PX = 2000  # of a motion between frames: more take gigabytes and hours
 MAX_FOURTH = 1.5  # limit of a fourth frame, times the present strength
 
 
@@ -92,7 +93,7 @@ def find_candidates(
     max_speed_m_s
         Greatest speed of a vehicle. [m s⁻¹]
     """
-    steps = _steps(ages_s[0], gsd_m, max_speed_m_s)
+    steps = _steps(ages_s[0], gsd_m, max_speed_m_s, layers[0][0].shape)
     bright, dark = (_find_contrast(one, ages_s, gsd_m, steps, k == 0) for k, one in enumerate(layers))
     both = {name: np.concatenate([values, vars(dark)[name]]) for name, values in vars(bright).items()}
     return StraightCandidates(**both)
@@ -138,14 +139,10 @@ def _find_contrast(
 def _strongest_cells(
     layer: Float[Array, "y x"], place: Float[Array, "peak 2"], reach: int
 ) -> Int[Array, "peak 2"]:
-    """Cell of the greatest strength in a square around each position."""
-    last = np.array(layer.shape) - 1
-    middle = np.clip(np.floor(place + 0.5).astype(np.int64), 0, last)
-    side = np.arange(-reach, reach + 1)
-    around = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
-    cells = np.clip(middle[:, None] + around, 0, last)
-    best = layer[cells[..., 0], cells[..., 1]].argmax(axis=1)
-    return cells[np.arange(len(cells)), best]
+    """Cell of the greatest strength in a square around each position; the first in reading order."""
+    cells = np.clip(np.floor(place + 0.5), 0, np.array(layer.shape) - 1).astype(np.int64)
+    _move_to_greatest(layer, cells, reach)
+    return cells
 
 
 def _min_strength() -> float:
@@ -158,9 +155,17 @@ def _min_strength() -> float:
     return float(min(limits))
 
 
-def _steps(interval_s: float, gsd_m: float, max_speed_m_s: float) -> Int[Array, "step 2"]:
-    """Possible motions of a vehicle since the frame before, in rows and columns."""
-    reach = math.ceil(max_speed_m_s * interval_s / gsd_m)
+def _steps(
+    interval_s: float, gsd_m: float, max_speed_m_s: float, shape: tuple[int, ...]
+) -> Int[Array, "step 2"]:
+    """Possible motions of a vehicle since the frame before within an image, in rows and columns."""
+    reach = min(math.ceil(max_speed_m_s * interval_s / gsd_m), max(shape))
+    if reach > MAX_REACH_PX:
+        raise ValueError(
+            f"`frames` must be so close in time that a vehicle moves by {MAX_REACH_PX:,} pixels at most; got "
+            f"{interval_s:.3g} s and pixels of {gsd_m:.3g} m: is the time in seconds? (else average pixels, "
+            "or lower `detect.max_speed_m_s`)"
+        )
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     speed = np.hypot(row, column) * gsd_m / interval_s
     possible = (speed >= MIN_SPEED_M_S) & (speed <= max_speed_m_s)
@@ -177,6 +182,20 @@ def _greatest(layer, row, column, reach):
         for x in range(max(column - reach, 0), min(column + reach + 1, width)):
             most = max(most, layer[y, x])
     return most
+
+
+@nb.njit(cache=True, nogil=True)
+def _move_to_greatest(layer, cells, reach):
+    """Move each cell to the greatest pixel in a square about it."""
+    height, width = layer.shape
+    for p in range(len(cells)):
+        i, j = cells[p, 0], cells[p, 1]
+        most = -np.inf
+        for y in range(max(i - reach, 0), min(i + reach + 1, height)):
+            for x in range(max(j - reach, 0), min(j + reach + 1, width)):
+                if layer[y, x] > most:
+                    most = layer[y, x]
+                    cells[p, 0], cells[p, 1] = y, x
 
 
 @nb.njit(cache=True, nogil=True)

@@ -1,0 +1,124 @@
+"""Read ground and surface heights from a raster in any CRS, in metres."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from jaxtyping import Float
+from rasterio.transform import Affine
+from rasterio.windows import Window
+
+from glintrack.core.arrays import Array
+from glintrack.io.crs import change_crs
+from glintrack.io.read_raster import open_bands, read_height_band
+
+_MAX_HEIGHTS = 400e6
+
+
+@dataclass(frozen=True)
+class Heights:
+    """A raster of heights, in memory.
+
+    Parameters
+    ----------
+    values
+        Heights, NaN where there are none. [m]
+    transform
+        Transform from (column, row) of corners to the CRS.
+    crs, name
+        CRS and file name.
+    """
+
+    values: Float[Array, "row column"]
+    transform: Affine
+    crs: str
+    name: str
+
+    @property
+    def to_pixel(self) -> Affine:
+        """Transform from coordinates of the CRS to (column, row), pixel centres at integers."""
+        return Affine.translation(-0.5, -0.5) * ~self.transform
+
+
+class NotReachedError(ValueError):
+    """Heights do not cover the ground that a photograph sees."""
+
+
+def read_height_range(path: Path, option: str) -> tuple[float, float]:
+    """Read the lowest and highest height of a raster, from an overview of it. [m]"""
+    with _open_heights(path, option) as file:
+        size = min(file.height, 1024), min(file.width, 1024)
+        values = read_height_band(file, option, shape=size)
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        raise ValueError(f"`{option}` must hold heights, got none in {path.name}")
+    return float(values.min()), float(values.max())
+
+
+def read_heights(
+    path: Path, option: str, x: Float[Array, "*place"], y: Float[Array, "*place"], crs: str
+) -> Heights:
+    """Read the part of a raster of heights that lies under some positions.
+
+    Parameters
+    ----------
+    path, option
+        File, and its name in error messages.
+    x, y, crs
+        Positions, and their CRS; any.
+
+    Raises
+    ------
+    ValueError
+        If the file is no raster, has no CRS, or does not cover the positions at all.
+    """
+    with _open_heights(path, option) as file:
+        own = file.crs.to_wkt()
+        transform = change_crs(crs, own).transform
+        places = np.stack(transform(np.ravel(x), np.ravel(y)))
+        places = places[:, np.isfinite(places).all(axis=0)]
+        if places.size == 0:
+            raise ValueError(
+                f"`{option}` must reach the frame's ground, got a CRS that does not: {path.name}"
+            )
+        pixel = np.stack(transform_points(~file.transform, *places))
+        low, high = np.floor(pixel.min(axis=1)) - 3, np.ceil(pixel.max(axis=1)) + 3
+        low, high = np.maximum(low, 0), np.minimum(high, (file.width, file.height))
+        if not (high - low >= 1).all():  # also if they are NaN
+            raise NotReachedError(
+                f"`{option}` must reach the frame's ground, got {path.name} over "
+                f"{', '.join(f'{v:.6g}' for v in file.bounds)} in {file.crs}"
+            )
+        if np.prod(high - low) > _MAX_HEIGHTS:
+            raise ValueError(
+                f"`{option}` must be coarser, or `area` smaller, got {np.prod(high - low):.3g} heights"
+            )
+        window = Window(*low, *(high - low))  # pyright: ignore[reportCallIssue]
+        values = read_height_band(file, option, window)
+        return Heights(values, file.window_transform(window), own, path.name)
+
+
+def is_within(path: Path, option: str, x: float, y: float, crs: str) -> bool:
+    """Return True if a position lies in a raster, or outside by at most its width."""
+    with _open_heights(path, option) as file:
+        place = change_crs(crs, file.crs.to_wkt()).transform(x, y)
+        column, row = transform_points(~file.transform, *(np.asarray(v) for v in place))
+        return bool(abs(column / file.width - 0.5) <= 1.5 and abs(row / file.height - 0.5) <= 1.5)
+
+
+def transform_points(
+    affine: Affine, x: Float[Array, "*place"], y: Float[Array, "*place"]
+) -> tuple[Array, Array]:
+    """Transform positions by an affine transform."""
+    return affine.a * x + affine.b * y + affine.c, affine.d * x + affine.e * y + affine.f
+
+
+@contextmanager
+def _open_heights(path: Path, option: str) -> Iterator[rasterio.DatasetReader]:
+    with open_bands(path, option) as file:
+        if file.crs is None:
+            raise ValueError(f"`{option}` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)")
+        yield file

@@ -1,0 +1,35 @@
+"""Tracks and truth at different rates are scored at their common times."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from glintrack.metrics import score_rows
+
+
+def table(times, name, count=2):
+    time_s, k = (grid.ravel() for grid in np.meshgrid(times, np.arange(count), indexing="ij"))
+    columns = {"time_s": time_s, name: k, "east_m": 5.0 * time_s, "north_m": 20.0 * k}
+    columns |= {"east_speed_m_s": np.full(len(k), 5.0), "north_speed_m_s": np.zeros(len(k))}
+    return xr.Dataset({key: ("row", values) for key, values in columns.items()})
+
+
+@pytest.mark.parametrize(
+    ("tracks_s", "truth_s", "told"),
+    [
+        (np.arange(21) / 2, np.arange(101) / 10, r"every 5th of the truth's 101 times: scored at 21"),
+        (np.arange(101) / 10, np.arange(21) / 2, r"101 times, 80 of which are not the truth's"),
+        (np.arange(31) / 3, np.arange(101) / 10, r"every 10th of the truth's 101 times: scored at 11"),
+    ],
+)
+def test_perfect_tracks_at_another_rate_are_complete(tracks_s, truth_s, told):
+    with pytest.warns(UserWarning, match=told):
+        scores = score_rows(table(tracks_s, "track_id"), table(truth_s, "vehicle_id"))
+    assert scores["completeness"] == 1 and scores["purity"] == 1 and scores["false_per_epoch"] == 0
+
+
+def test_epochs_without_tracks_count_at_the_same_rate(recwarn):
+    times = np.arange(20) / 2
+    some = table(times[[3, 4, 5, 7, 8, 9, 12, 13, 14, 15]], "track_id")
+    scores = score_rows(some, table(times, "vehicle_id"))
+    assert scores["completeness"] == pytest.approx(0.5) and not recwarn.list
