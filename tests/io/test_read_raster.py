@@ -55,7 +55,7 @@ def test_heights_are_metres(tmp_path, stored, about):
         ({"crs": "EPSG:2263"}, "must state the unit of its heights"),
         ({"crs": "EPSG:32632+5715"}, "must hold heights; got depths"),
         ({"scale": float("inf")}, "must have a finite scale other than 0"),
-        ({"photometric": "RGB"}, "must hold heights, got the colours of a picture"),
+        ({"photometric": "RGB"}, "must hold heights; got the colours of a picture"),
     ],
 )
 def test_heights_that_may_be_wrong_are_refused(tmp_path, about, complaint):

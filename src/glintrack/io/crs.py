@@ -22,7 +22,7 @@ def any_crs(crs: Any) -> pyproj.CRS:
         return pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:
         raise ValueError(
-            f"`crs` must be a coordinate reference system such as EPSG:32618, got {plain(crs, 60)!r}"
+            f"`crs` must be a coordinate reference system such as EPSG:32618; got {plain(crs, 60)!r}."
         ) from error
 
 

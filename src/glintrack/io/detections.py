@@ -229,7 +229,7 @@ def _times_and_positions(
     position = _finite_numbers(table, path, POSITION)
     time_s = _finite_numbers(table, path, ("time_s",))[:, 0]
     if np.abs(time_s).max(initial=0) > MAX_TIME_S:
-        raise ValueError(f"`time_s` must be seconds within ±{MAX_TIME_S:g}, got others in {path}")
+        raise ValueError(f"`time_s` must be seconds within ±{MAX_TIME_S:g}; got others in {path}.")
     check_steps(time_s, "time_s", path)
     far = np.flatnonzero(np.abs(position).max(axis=1, initial=0) > MAX_COORDINATE_M)
     if far.size:

@@ -54,7 +54,7 @@ def read_height_range(path: Path, option: str) -> tuple[float, float]:
         values = read_height_band(file, option, shape=size)
     values = values[np.isfinite(values)]
     if values.size == 0:
-        raise ValueError(f"`{option}` must hold heights, got none in {path.name}")
+        raise ValueError(f"`{option}` must hold heights; got none in {path.name}.")
     return float(values.min()), float(values.max())
 
 
@@ -82,19 +82,19 @@ def read_heights(
         places = places[:, np.isfinite(places).all(axis=0)]
         if places.size == 0:
             raise ValueError(
-                f"`{option}` must reach the frame's ground, got a CRS that does not: {path.name}"
+                f"`{option}` must reach the frame's ground; got a CRS that does not: {path.name}"
             )
         pixel = np.stack(transform_points(~file.transform, *places))
         low, high = np.floor(pixel.min(axis=1)) - 3, np.ceil(pixel.max(axis=1)) + 3
         low, high = np.maximum(low, 0), np.minimum(high, (file.width, file.height))
         if not (high - low >= 1).all():  # also if they are NaN
             raise NotReachedError(
-                f"`{option}` must reach the frame's ground, got {path.name} over "
+                f"`{option}` must reach the frame's ground; got {path.name} over "
                 f"{', '.join(f'{v:.6g}' for v in file.bounds)} in {file.crs}"
             )
         if np.prod(high - low) > _MAX_HEIGHTS:
             raise ValueError(
-                f"`{option}` must be coarser, or `area` smaller, got {np.prod(high - low):.3g} heights"
+                f"`{option}` must be coarser, or `area` smaller; got {np.prod(high - low):.3g} heights"
             )
         window = Window(*low, *(high - low))  # pyright: ignore[reportCallIssue]
         values = read_height_band(file, option, window)
@@ -120,5 +120,7 @@ def transform_points(
 def _open_heights(path: Path, option: str) -> Iterator[rasterio.DatasetReader]:
     with open_bands(path, option) as file:
         if file.crs is None:
-            raise ValueError(f"`{option}` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)")
+            raise ValueError(
+                f"`{option}` must have a CRS; got none in {path.name}. Set it: gdal_edit.py -a_srs …"
+            )
         yield file

@@ -142,7 +142,7 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
             one = _raster(file, geotransform)
             _check_same_ground(file, one, first)
             if one.time_s is None and rate_hz is None:
-                raise ValueError(f"`frames` must have a tag time_s or need --rate, got neither in {file}")
+                raise ValueError(f"`frames` must have a tag time_s or need --rate; got neither in {file}.")
             time_s = k / rate_hz if rate_hz is not None else float(one.time_s or 0.0)
             yield time_s, image_of(one.bands, one.grid)
 
@@ -163,7 +163,7 @@ def time_tag(tags: Mapping[str, str], path: Path) -> float | None:
         if not math.isfinite(time_s):
             raise ValueError(tag)
     except ValueError as error:
-        raise ValueError(f"`time_s` must be a number of seconds, got {tag!r} in {path}") from error
+        raise ValueError(f"`time_s` must be a number of seconds; got {tag!r} in {path}.") from error
     return time_s
 
 
@@ -263,7 +263,9 @@ def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
         raise ValueError(f"`frames` must be a video that ffmpeg can read; got {path}.") from error
     width, height = about["size"]
     if width * height > MAX_CELLS:
-        raise ValueError(f"`frames` must have at most {MAX_CELLS:,} pixels; got {width} × {height} in {path}")
+        raise ValueError(
+            f"`frames` must have at most {MAX_CELLS:,} pixels; got {width} × {height} in {path}."
+        )
     rate = rate_hz or float(about["fps"])
     grid = geotransform
 

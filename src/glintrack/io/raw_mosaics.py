@@ -12,7 +12,9 @@ from glintrack.io.untrusted import check_file, natural_order
 
 RAW_SUFFIXES = (".tif", ".tiff", ".png", ".npy")
 _UNFRAMED = (".raw", ".bin", ".dat", ".img")  # endings of counts without a header
-_UNPACK = "(unpack counts of 12 bits to 16 and save them by numpy.save: docs/howto/my_polarization_camera.md)"
+_UNPACK = (
+    "Unpack 12-bit counts to 16 bits and save them by numpy.save (docs/howto/my_polarization_camera.md)."
+)
 _MAX_NPY_BYTES = 800_000_000
 _MAX_HEADER_BYTES = 4096
 
@@ -33,7 +35,7 @@ def raw_files(sources: list[Path]) -> list[Path]:
         if not inside:
             remedy = _UNPACK if any(p.suffix.lower() in _UNFRAMED for p in source.iterdir()) else ""
             raise ValueError(
-                f"`RAW` must hold raws ({' '.join(RAW_SUFFIXES)}), got none in {source} {remedy}"
+                f"`RAW` must hold raws ({' '.join(RAW_SUFFIXES)}); got none in {source}. {remedy}"
             )
         found += inside
     found.sort(key=natural_order)
@@ -76,7 +78,7 @@ def _check_type(path: Path, dtype: np.dtype, bands: int) -> None:
 
 def _read_raster(path: Path) -> Array:
     if path.suffix.lower() in _UNFRAMED and not path.with_suffix(".hdr").exists():
-        raise ValueError(f"`RAW` must be a file that states its size and bits; got {path} {_UNPACK}")
+        raise ValueError(f"`RAW` must be a file that states its size and bits; got {path}. {_UNPACK}.")
     with open_bands(path, "RAW", "a raw mosaic") as file:
         _check_type(path, np.dtype(file.dtypes[0]), file.count)
         return file.read(1)
@@ -93,7 +95,7 @@ def _read_npy(path: Path) -> Array:
         ) from error
     if not isinstance(mapped, np.ndarray) or mapped.ndim != 2:
         shape = getattr(mapped, "shape", "no array")
-        raise ValueError(f"`RAW` must be one mosaic, rows × columns, got {shape} in {path} {_UNPACK}")
+        raise ValueError(f"`RAW` must be one mosaic, rows × columns; got {shape} in {path}. {_UNPACK}.")
     dtype = mapped.dtype.newbyteorder("=")
     _check_type(path, dtype, 1)
     return np.array(mapped, dtype, order="C")

@@ -126,7 +126,7 @@ def open_bands(path: Path, name: str, requirement: str = "a raster") -> Iterator
         try:
             yield file
         except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
-            raise ValueError(f"`{name}` must be a whole raster, got {path}: {error}") from error
+            raise ValueError(f"`{name}` must be a whole raster; got {path}: {error}.") from error
 
 
 def read_height_band(
@@ -151,7 +151,7 @@ def read_height_band(
     """
     name = Path(file.name).name
     if file.colorinterp[0] in (ColorInterp.red, ColorInterp.palette):
-        raise ValueError(f"`{option}` must hold heights, got the colours of a picture in {name}")
+        raise ValueError(f"`{option}` must hold heights; got the colours of a picture in {name}.")
     metres = _height_unit_m(file, option)
     rest = {"only the first band is heights": file.count - 1}
     notes = _notes(file, [1]) if metres == 1 else (*_notes(file, [1]), f"heights times {metres:.9g} m")
@@ -161,7 +161,7 @@ def read_height_band(
     if is_scaled and np.isin(raw, _FILLERS).any():
         raise ValueError(
             f"`{option}` must mark missing heights; got {raw[np.isin(raw, _FILLERS)][0]:g} before its scale "
-            f"in {name} (gdal_edit.py -a_nodata …)"
+            f"in {name}. Mark them: gdal_edit.py -a_nodata …"
         )
     heights = values[0] * metres
     check_heights(heights, option, name)
@@ -189,11 +189,11 @@ def _height_unit_m(file: rasterio.DatasetReader, option: str) -> float:
     remedy = f"gdal_edit.py -units m {name}, or -units ft"
     axes = any_crs(file.crs).axis_info if file.crs else []
     if any(axis.direction == "down" for axis in axes):
-        raise ValueError(f"`{option}` must hold heights; got depths in {name}, by its vertical CRS")
+        raise ValueError(f"`{option}` must hold heights; got depths in {name}, by its vertical CRS.")
     if unit.strip():
         if (length_m := length_unit_m(unit)) is None:
             raise ValueError(
-                f"`{option}` must have heights in a known unit; got {unit!r} in {name} ({remedy})"
+                f"`{option}` must have heights in a known unit; got {unit!r} in {name}. Set it: {remedy}."
             )
         return length_m
     if heights := [axis.unit_conversion_factor for axis in axes if axis.direction == "up"]:
@@ -201,7 +201,7 @@ def _height_unit_m(file: rasterio.DatasetReader, option: str) -> float:
     if any(axis.unit_name not in ("metre", "degree") for axis in axes):
         raise ValueError(
             f"`{option}` must state the unit of its heights; got {name} with a CRS in {axes[0].unit_name} "
-            f"and no unit of its band ({remedy})"
+            f"and no unit of its band. Set it: {remedy}."
         )
     return 1.0
 
@@ -215,7 +215,7 @@ def _read_masked(
 ) -> Float[Array, "band row column"]:
     """Read bands as stored, NaN where masked."""
     if "complex" in "".join(file.dtypes):
-        raise ValueError(f"`{name}` must hold real numbers; got complex ones in {file.name}")
+        raise ValueError(f"`{name}` must hold real numbers; got complex ones in {file.name}.")
     size = None if shape is None else (len(numbers), *shape)
     return file.read(numbers, window=window, out_shape=size, masked=True).astype(float).filled(np.nan)
 
@@ -244,7 +244,7 @@ def _to_physical(
     if not (np.isfinite(scales).all() and scales.all() and np.isfinite(offsets).all()):
         raise ValueError(
             f"`{name}` must have a finite scale other than 0, and a finite offset; got {scales.tolist()} and "
-            f"{offsets.tolist()} in {file.name} (gdal_edit.py -scale … -offset …)"
+            f"{offsets.tolist()} in {file.name}. Set them: gdal_edit.py -scale … -offset …"
         )
     if (scales == 1).all() and not offsets.any():
         return values, False

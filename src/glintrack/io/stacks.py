@@ -52,7 +52,7 @@ class Stack:
             return np.arange(self.count) / rate_hz
         if "time" not in self.dataset.coords:
             raise ValueError(
-                f"`frames` must have a coordinate time or come with --rate, got neither in {path}"
+                f"`frames` must have a coordinate time or come with --rate; got neither in {path}"
             )
         return times_of(self.dataset, path)
 
@@ -67,24 +67,24 @@ class Stack:
         stack = self.dataset
         if not {"x", "y"} <= set(stack.coords):
             raise ValueError(
-                f"`frames` must have coordinates x and y in metres, got none in {path} "
-                f"(give --geotransform WEST NORTH GSD)"
+                f"`frames` must have coordinates x and y in metres; got none in {path}. "
+                f"Give --geotransform WEST NORTH GSD."
             )
         for name in ("x", "y"):
             unit = str(stack[name].attrs.get("units", "m"))
             if length_unit_m(unit) != 1:
                 raise ValueError(
-                    f"`{name}` must be in metres; got {unit!r} in {path} (project the frames, or give "
-                    "--geotransform WEST NORTH GSD)"
+                    f"`{name}` must be in metres; got {unit!r} in {path}. Project the frames, or give "
+                    "--geotransform WEST NORTH GSD."
                 )
         x, y = stack["x"].values.astype(float), stack["y"].values.astype(float)
         if len(x) < 2 or len(y) < 2:
-            raise ValueError(f"`frames` must have at least 2 × 2 pixels, got {len(y)} × {len(x)} in {path}")
+            raise ValueError(f"`frames` must have at least 2 × 2 pixels; got {len(y)} × {len(x)} in {path}.")
         gsd = float(x[1] - x[0])
         even = np.allclose(np.diff(x), gsd, rtol=_STEP) and np.allclose(np.diff(y), -gsd, rtol=_STEP)
         if not (gsd > 0 and even):
             raise ValueError(
-                f"`frames` must have x rising and y changing in equal steps, got others in {path}"
+                f"`frames` must have x rising and y changing in equal steps; got others in {path}"
             )
         return float(x[0]) - gsd / 2, float(y[0]) + gsd / 2, gsd
 
@@ -113,12 +113,12 @@ def open_stack(path: Path) -> Stack:
             else xr.open_dataset(path, engine="h5netcdf", decode_timedelta=True)
         )
     except Exception as error:  # whatever a damaged file makes the decoders say
-        raise ValueError(f"`frames` must be a readable NetCDF-4 or Zarr stack, got {path}") from error
+        raise ValueError(f"`frames` must be a readable NetCDF-4 or Zarr stack; got {path}.") from error
     names = [str(n) for n, v in stack.data_vars.items() if v.dims[-3:] == ("time", "y", "x")]
     name = "pan" if "pan" in names else names[0] if len(names) == 1 else ""
     if not name:
         raise ValueError(
-            f"`frames` must hold one variable over time, y, x, or one called pan, got {names or 'none'} "
+            f"`frames` must hold one variable over time, y, x, or one called pan; got {names or 'none'} "
             f"in {path}"
         )
     sizes = stack.sizes
@@ -137,7 +137,7 @@ def _crs_of(stack: xr.Dataset, frames: xr.DataArray, path: Path) -> str | None:
     named = str(frames.attrs.get("grid_mapping", frames.encoding.get("grid_mapping", "")))
     mapping = named.split(":")[0].strip() or next((n for n in ("spatial_ref", "crs") if n in stack), "")
     if mapping and mapping not in stack.variables:
-        raise ValueError(f"`grid_mapping` must name a variable of the file; got {mapping!r} in {path}")
+        raise ValueError(f"`grid_mapping` must name a variable of the file; got {mapping!r} in {path}.")
     about = dict(stack[mapping].attrs) if mapping else {}
     text = next((about[key] for key in ("crs_wkt", "spatial_ref", "proj4") if key in about), None)
     if text is None and about:
@@ -153,6 +153,6 @@ def _crs_of_parameters(about: Mapping[str, Any], path: Path) -> str:
         return pyproj.CRS.from_cf(dict(about)).to_wkt()
     except (pyproj.exceptions.CRSError, KeyError, TypeError, ValueError) as error:
         raise ValueError(
-            f"`grid_mapping` must be a projection of CF; got {about.get('grid_mapping_name')!r} in {path} "
-            "(write its attribute crs_wkt)"
+            f"`grid_mapping` must be a projection of CF; got {about.get('grid_mapping_name')!r} in {path}. "
+            "Write its attribute crs_wkt."
         ) from error

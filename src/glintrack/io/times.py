@@ -37,7 +37,7 @@ def check_steps(times_s: ArrayLike, name: str, path: Path | str) -> None:
         step = f"{step_s:,.0f}" if step_s >= 1000 else f"{step_s:.3g}"
         raise ValueError(
             f"`{name}` must have steps of {MIN_STEP_S:g} to {MAX_STEP_S:g} s; the times are {step} s apart "
-            f"in {path}: is `{name}` in seconds ({remedy})?"
+            f"in {path}: is `{name}` in seconds? Else {remedy}."
         )
 
 
@@ -70,14 +70,14 @@ def times_of(stack: xr.Dataset, path: Path) -> Float[Array, "time"]:
         zero = times[0] if times.dtype.kind == "M" else np.timedelta64(0, "s")
         times = (times - zero) / np.timedelta64(1, "s")
     elif unit not in _UNITS_S:
-        raise ValueError(f"`time` must be in one of {', '.join(_UNITS_S)}; got {unit!r} in {path}")
+        raise ValueError(f"`time` must be in one of {', '.join(_UNITS_S)}; got {unit!r} in {path}.")
     elif times.dtype.kind not in "iuf":
-        raise ValueError(f"`time` must hold numbers of seconds; got {times.dtype} in {path}")
+        raise ValueError(f"`time` must hold numbers of seconds; got {times.dtype} in {path}.")
     else:
         times = times.astype(float) * _UNITS_S[unit]
     if not np.isfinite(times).all():
-        raise ValueError(f"`time` must be finite at every frame, got others in {path}")
+        raise ValueError(f"`time` must be finite at every frame; got others in {path}.")
     if (np.diff(times) < 0).any():
-        raise ValueError(f"`time` must not go backwards; got such times in {path} (sort the frames by time)")
+        raise ValueError(f"`time` must not go backwards; got such times in {path}. Sort the frames by time.")
     check_steps(times, "time", path)
     return times

@@ -335,11 +335,11 @@ def open_raster(path: str | Path, name: str, requirement: str = "a raster") -> "
     cells, corner = file.width * file.height * file.count, tuple(file.transform)[:6]
     fault = ""
     if file.driver == "PNG" and not _is_whole_png(path):
-        fault = f"`{name}` must be a whole PNG file, got {path}, which is cut off or damaged"
+        fault = f"`{name}` must be a whole PNG file; got {path}, which is cut off or damaged."
     elif cells > min(MAX_CELLS, max(_ALWAYS_ALLOWED_CELLS, _MAX_CELLS_PER_BYTE * path.stat().st_size)):
         fault = (
-            f"`{name}` must have at most {MAX_CELLS:,} cells, and data for them, got {path} with "
-            f"{file.width} × {file.height} × {file.count}"
+            f"`{name}` must have at most {MAX_CELLS:,} cells, and data for them; got {path} with "
+            f"{file.width} × {file.height} × {file.count}."
         )
     elif not all(abs(value) <= MAX_COORDINATE_M for value in corner):
         fault = (

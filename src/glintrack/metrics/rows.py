@@ -1,7 +1,8 @@
 """Scores of tables: tracks and truth with one row per object and epoch."""
 
+import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
@@ -25,6 +26,7 @@ from glintrack.metrics.tracks import (
 
 SAME_TIME_S = 1e-3  # times in files are rounded
 _REGULAR = 5  # steps between the times of tracks, all of one length, that show their rate
+Areas = Area | Callable[[float], Area]  # the same at each epoch, or a function of the epoch [s]
 
 
 def score_rows(
@@ -62,9 +64,9 @@ def score_rows(
     UserWarning
         If only some times of tracks and truth are common: the others are not scored.
     """
-    area = Extent(*area_m) if area_m else _area(truth)
     (tracks,), truth = _at_common_times([tracks], truth)
-    scores = score_epochs(tracks, truth, area, match_distance_m, moving_speed_m_s)
+    area_of = _area_function(area_m, truth)
+    scores = score_epochs(tracks, truth, area_m, match_distance_m, moving_speed_m_s)
     epochs, of_vehicles = _epochs_of(truth)
     of_tracks = _split(_epoch_of(tracks, epochs), len(epochs))
     (vehicles, vehicle_m), (found, track_m) = _objects(truth, "vehicle_id"), _objects(tracks, "track_id")
@@ -104,9 +106,8 @@ def score_tables(
     first_s: float = -math.inf,
 ) -> list[list[EpochScore]]:
     """Score several tables of tracks against the same truth like `score_epochs`."""
-    area = Extent(*area_m) if area_m else _area(truth)
     tables, truth = _at_common_times(tables, truth)
-    area_km2, out = window_km2(area), []
+    area_of, out = _area_function(area_m, truth), []
     epochs, of_vehicles = _epochs_of(truth)
     areas, vehicles = [area_of(time_s) for time_s in epochs.tolist()], []
     if len(epochs):
@@ -205,6 +206,19 @@ def _at_common_times(tables: Sequence[xr.Dataset], truth: xr.Dataset) -> tuple[l
         truth = truth.isel(row=selected[np.searchsorted(epochs, truth["time_s"].values)])
     of_rows = [k >= 0 for k in of_rows]
     return [t.isel(row=k) if not k.all() else t for t, k in zip(tables, of_rows, strict=True)], truth
+
+
+def _area_function(area_m: Areas | None, truth: xr.Dataset) -> Callable[[float], Area]:
+    """Scored area at each epoch."""
+    if callable(area_m):
+        return area_m
+    area = _area(truth) if area_m is None else area_m
+    return lambda time_s: area
+
+
+def _marked_inside(truth: xr.Dataset) -> Array:
+    """Return True for each row that is marked as inside."""
+    return truth["inside"].values.astype(bool) if "inside" in truth else np.zeros(truth.sizes["row"], bool)
 
 
 def _area_function(area_m: Areas | None, truth: xr.Dataset) -> Callable[[float], Area]:

@@ -156,7 +156,9 @@ def displacement_against(bands: Array, path: Path, grid: MapGrid) -> tuple[float
     reference = np.full(bands.shape[:2], np.nan)
     source = read_raster(path, "register")
     if source.crs is None:
-        raise ValueError(f"`register` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)")
+        raise ValueError(
+            f"`register` must have a CRS; got none in {path.name}. Set it: gdal_edit.py -a_srs …"
+        )
     corner = from_origin(grid.x[0] - grid.gsd / 2, grid.y[0] + grid.gsd / 2, grid.gsd, grid.gsd)
     try:
         reproject(
@@ -165,7 +167,7 @@ def displacement_against(bands: Array, path: Path, grid: MapGrid) -> tuple[float
             dst_transform=corner, dst_crs=grid.crs, dst_nodata=np.nan, resampling=Resampling.bilinear,
         )  # fmt: skip
     except RasterioError as error:
-        raise ValueError(f"`register` must be a raster that GDAL projects, got {path}") from error
+        raise ValueError(f"`register` must be a raster that GDAL projects; got {path}.") from error
     rows, columns, _ = displacement_between(bands[..., 0], reference)
     if not math.isfinite(rows):
         raise ValueError(

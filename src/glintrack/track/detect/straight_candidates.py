@@ -163,8 +163,8 @@ def _steps(
     if reach > MAX_REACH_PX:
         raise ValueError(
             f"`frames` must be so close in time that a vehicle moves by {MAX_REACH_PX:,} pixels at most; got "
-            f"{interval_s:.3g} s and pixels of {gsd_m:.3g} m: is the time in seconds? (else average pixels, "
-            "or lower `detect.max_speed_m_s`)"
+            f"{interval_s:.3g} s and pixels of {gsd_m:.3g} m: is the time in seconds? Else average pixels, "
+            "or lower `detect.max_speed_m_s`."
         )
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     speed = np.hypot(row, column) * gsd_m / interval_s
