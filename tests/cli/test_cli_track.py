@@ -256,7 +256,7 @@ def test_a_folder_of_geotiffs(tmp_path, monkeypatch, capsys):
     frames[5][:] = np.nan  # nothing but nodata is no error
     write_tiffs(tmp_path / "frames", frames, np.arange(len(frames)) / 2)
     code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "frames", "-o", tmp_path / "out")
-    assert code == 0 and "24 epochs" in said and "tracks.kml" in said
+    assert code == 0 and "24 frames" in said and "tracks.kml" in said
     last = pd.read_csv(tmp_path / "out" / "tracks.csv").query("time_s == 11.5")
     # upper left pixels (20, 51) and (56, 50), two rows by three columns: centres in the CRS
     expected = [(5e5 + 1.5 * 52.5, 4e6 - 1.5 * 21), (5e5 + 1.5 * 51.5, 4e6 - 1.5 * 57)]
@@ -311,8 +311,8 @@ def test_bad_frames_are_one_sentence(tmp_path, monkeypatch, capsys, make, extra,
         (("--crs", "EPSG:32619"), "`crs` must be the frames' own, EPSG:32618; got EPSG:32619"),
         (("--crs", "EPSG:4326"), "`crs` must be projected and in metres"),
         (("--rate", "inf"), "`rate` must be 0.1 to 1,000 Hz; got inf"),
-        (("--area", "0", "0", "9", "9"), "`area` must be used with detections, got 0.0 0.0 9.0 9.0"),
-        (("--features", "none"), "`features` must be used with detections, got none"),
+        (("--area", "0", "0", "9", "9"), "`area` must be used with detections; got 0.0 0.0 9.0 9.0"),
+        (("--features", "none"), "`features` must be used with detections; got none"),
         (("--geotransform", "0", "nan", "1"), "`geotransform` must have edges within ±1e+08 m"),
         (("--geotransform", "0", "0", "inf"), "`geotransform` must have edges within ±1e+08 m and pixels"),
     ],

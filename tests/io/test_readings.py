@@ -57,5 +57,5 @@ def test_identities_may_be_texts(tmp_path):
     (tmp_path / "truth.csv").write_text("time_s,vehicle_id,east_m,north_m\n" + text)
     assert read_truth(tmp_path / "truth.csv")["vehicle_id"].values.tolist() == [0, 0, 0, 1, 1, 1]
     (tmp_path / "truth.csv").write_text("time_s,vehicle_id,east_m,north_m\n" + text + "2,bus 7,1,1\n")
-    with pytest.raises(ValueError, match="`vehicle_id` must appear once an epoch"):
+    with pytest.raises(ValueError, match="`vehicle_id` must appear once in each frame"):
         read_truth(tmp_path / "truth.csv")
