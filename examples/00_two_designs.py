@@ -8,9 +8,8 @@ Does a finer pitch hold more vehicles? Twelve frames of the embedded city as it 
 import matplotlib.pyplot as plt
 
 from glintrack import Case, simulate
-from glintrack.case.packaged import find_case
 
-base = Case.from_toml(find_case("quickstart")).replace({"flight.frames": 12, "bound.every": 0})
+base = Case.from_name("quickstart").replace({"flight.frames": 12, "bound.every": 0})
 finer = {
     "sensor.pitch_um": 8.5,
     "sensor.rows": 2 * base.sensor.rows,

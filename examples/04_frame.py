@@ -14,7 +14,6 @@ import numpy as np
 
 from glintrack import Case
 from glintrack.case.build import trace_frame
-from glintrack.case.packaged import find_case
 from glintrack.render import one_sample_each, shade
 from glintrack.render.frame import render_product
 from glintrack.results.figures.frame import dolp_colours, radiance_colours
@@ -28,7 +27,7 @@ FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 # Frame 12 is the one nearest to the sun's azimuth. The reduced size has a quarter of the elements over the
 # same field.
 
-case = Case.from_toml(find_case("quickstart"))
+case = Case.from_name("quickstart")
 if not FULL:
     case = case.replace({"sensor.rows": 280, "sensor.columns": 440, "sensor.pitch_um": 34.0})
 view = trace_frame(case, frame=12)

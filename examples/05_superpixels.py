@@ -15,7 +15,6 @@ import numpy as np
 
 from glintrack import Case
 from glintrack.case.build import trace_frame
-from glintrack.case.packaged import find_case
 from glintrack.sensor import array_readout, boost, build_sensor, expose, serve
 from glintrack.stokes import dolp
 
@@ -28,7 +27,7 @@ FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 # wide. A sensor asks the renderer for the few channels that it needs, and draws its noise from a generator
 # that it is given.
 
-case = Case.from_toml(find_case("quickstart"))
+case = Case.from_name("quickstart")
 if not FULL:
     case = case.replace({"sensor.rows": 280, "sensor.columns": 440})
 view = trace_frame(case, frame=12)

@@ -15,7 +15,6 @@ import numpy as np
 
 from glintrack import Case
 from glintrack.case.build import trace_frame
-from glintrack.case.packaged import find_case
 from glintrack.metrics import registration_error
 from glintrack.ortho import orthorectify, rectify_array
 from glintrack.render.frame import render_product
@@ -29,7 +28,7 @@ FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 # --------------------
 # The reduced size is the middle of the array, over the middle of the city.
 
-case = Case.from_toml(find_case("quickstart"))
+case = Case.from_name("quickstart")
 if not FULL:
     case = case.replace({"sensor.rows": 280, "sensor.columns": 440})
 view = trace_frame(case, frame=12)

@@ -14,7 +14,6 @@ import numpy as np
 import xarray as xr
 
 from glintrack import Case, simulate, track
-from glintrack.case.packaged import find_case
 from glintrack.metrics import score_epoch, summarize
 from glintrack.results.figures.tracks import (
     QUERY_COLOUR,
@@ -36,7 +35,7 @@ FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 # 8 s at 2 Hz, with one ray an element. ``keep`` is called after every turn of a loop; here it keeps what
 # the last part of the tutorial needs.
 
-case = Case.from_toml(find_case("quickstart")).replace({"scene.trees": False, "channels": ["pan", "dolp"]})
+case = Case.from_name("quickstart").replace({"scene.trees": False, "channels": ["pan", "dolp"]})
 if not FULL:
     smaller = {"flight.frames": 16, "flight.azimuth_from_sun_deg": -5.0, "sensor.oversampling": 1}
     case = case.replace(smaller)

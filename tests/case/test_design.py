@@ -149,3 +149,9 @@ def test_a_sensor_without_mirrors_has_no_spectrometer_to_check(tmp_path):
     path.write_text(f"{atmosphere}[sensor]\nband_um = [1.0, 1.7]\n")
     with pytest.raises(ValueError, match=r"`sensor.spectrometer_um` must lie within .*wavelength_stop_um"):
         Case.from_toml(path)
+
+
+def test_a_packaged_case_is_read_by_its_name():
+    assert Case.from_name("quickstart") == Case.from_toml(find_case("quickstart"))
+    with pytest.raises(ValueError, match=r"`name` must be a packaged case \(arterial, .*\); got 'table1'"):
+        Case.from_name("table1")

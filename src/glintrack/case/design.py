@@ -145,6 +145,22 @@ class Case(Design):
         return self
 
     @classmethod
+    def from_name(cls, name: str) -> "Case":
+        """Read a packaged case, such as ``"quickstart"``.
+
+        Raises
+        ------
+        ValueError
+            If there is none of this name; the message lists them.
+        """
+        if name not in list_cases():
+            raise ValueError(
+                f"`name` must be a packaged case ({', '.join(list_cases())}); got {name!r}. "
+                "Read a file with Case.from_toml."
+            )
+        return cls.from_toml(find_case(name))
+
+    @classmethod
     def from_toml(
         cls, path: str | Path, allow_outside_paths: bool = False, changes: Mapping[str, Any] | None = None
     ) -> "Case":

@@ -10,7 +10,7 @@ PACKAGED_CASES = Path(__file__).parents[1] / "data" / "cases"
 
 
 def list_cases() -> list[str]:
-    """Names of the packaged cases, which `glintrack run` and `Case.named` take."""
+    """Names of the packaged cases, which `glintrack run` and `Case.from_name` take."""
     return [name for name in _list_packaged() if not _is_study(name)]
 
 
