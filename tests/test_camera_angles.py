@@ -11,6 +11,7 @@ from glintrack.camera import (
     Camera,
     Pose,
     from_omega_phi_kappa,
+    from_yaw_pitch_roll,
     look_at,
     omega_phi_kappa,
     project,
@@ -92,3 +93,19 @@ def test_a_nudge_moves_the_line_of_sight_the_right_way(place):
         # a line of sight turned right sees its old target to the left of the centre
         assert column - CAMERA.principal_point[1] == pytest.approx(-scale * right, abs=0.01)
         assert row - CAMERA.principal_point[0] == pytest.approx(scale * up, abs=0.01)
+
+
+def test_angles_of_an_inertial_system_see_the_same_ground():
+    """Yaw, pitch and roll multiplied as in aerospace textbooks, with axes north, east and down."""
+    yaw, pitch, roll = np.radians([30.0, 10.0, 12.0])
+    (cy, cp, cr), (sy, sp, sr) = np.cos([yaw, pitch, roll]), np.sin([yaw, pitch, roll])
+    about_down = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    about_right = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_forward = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    camera, height_m = Camera(0.035, 35e-6, 801, 801), 1000.0
+    pose = from_yaw_pitch_roll(Pose(0.0, 0.0, height_m, yaw, roll, pitch))
+    for right, down in ((0, 0), (300, -300), (-300, -300), (300, 300)):
+        body = np.array([-down / 1000, right / 1000, 1.0])  # the camera looks down, its rows run forward
+        north, east, fall = about_down @ about_right @ about_forward @ body
+        ground = np.array([east, north, 0.0]) * height_m / fall
+        np.testing.assert_allclose(project(camera, pose, ground), [400 + down, 400 + right], atol=1e-6)

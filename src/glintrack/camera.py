@@ -222,6 +222,23 @@ def with_rotation(pose: Pose, matrix: Float[Array, "3 3"]) -> Pose:
     )
 
 
+def from_yaw_pitch_roll(pose: Pose) -> Pose:
+    """Convert a pose whose angles turn heading, then pitch, then roll, as inertial systems give them.
+
+    Parameters
+    ----------
+    pose
+        Its heading, pitch and roll in the order of ARINC 705; its place, gimbal and kind stay.
+
+    Returns
+    -------
+    The same attitude as heading, then roll, then pitch.
+    """
+    airframe = _bank(pose.roll_rad) @ _tilt(pose.pitch_rad) @ _turn(pose.heading_rad)
+    gimbal = rotation(replace(pose, heading_rad=0.0, roll_rad=0.0, pitch_rad=0.0))
+    return with_rotation(pose, gimbal @ airframe)
+
+
 def rotate_line_of_sight(pose: Pose, right_rad: float, up_rad: float) -> Pose:
     """Rotate a pose's line of sight toward image right and image up, as vibration does.
 

@@ -41,12 +41,43 @@ def test_metres_without_times_are_flown_at_the_designs_speed(tmp_path):
 
 def test_times_and_attitude_are_taken_from_the_file(tmp_path):
     text = (
-        "time_s,east_m,north_m,up_m,heading_deg,roll_deg,pitch_deg\n0,0,0,1000,350,0,2\n2,0,80,1100,10,4,2\n"
+        "time_s,east_m,north_m,up_m,heading_deg,roll_deg,pitch_deg,order\n"
+        "0,0,0,1000,350,0,2,heading-roll-pitch\n2,0,80,1100,10,4,2,heading-roll-pitch\n"
     )
     pose = flown(tmp_path, "way.csv", text).pose(1.0)
     np.testing.assert_allclose(pose.position, [0, 40, 1050], atol=MILLIMETRE)
     assert math.degrees(math.remainder(pose.heading_rad, 2 * math.pi)) == pytest.approx(0, abs=1e-9)
     assert (math.degrees(pose.roll_rad), math.degrees(pose.pitch_rad)) == pytest.approx((2, 2))
+
+
+def test_angles_without_an_order_are_refused_where_it_matters(tmp_path):
+    head = "east_m,north_m,up_m,heading_deg,roll_deg,pitch_deg"
+    with pytest.raises(ValueError, match="`waypoint_file` must have a column `order`"):
+        flown(tmp_path, "way.csv", f"{head}\n0,0,1000,30,10,10\n0,800,1000,30,10,10\n")
+    level = flown(tmp_path, "level.csv", f"{head}\n0,0,1000,30,0,10\n0,800,1000,30,0,10\n")
+    assert math.degrees(level.pose(0.5).pitch_rad) == pytest.approx(10)  # without roll both are the same
+    rows = "0,0,1000,30,10,10,yaw-pitch-roll\n0,800,1000,30,10,10,yaw-pitch-roll\n"
+    pose = flown(tmp_path, "ins.csv", f"{head},order\n{rows}").pose(0.5)
+    angle = math.radians(10)  # wing and nose point equally far below and above the horizon in both orders
+    roll_rad = math.asin(math.sin(angle) * math.cos(angle))
+    assert pose.roll_rad == pytest.approx(roll_rad)
+    assert pose.pitch_rad == pytest.approx(math.asin(math.sin(angle) / math.cos(roll_rad)))
+
+
+def line_of(*east_m):
+    """LineString of a KML along east."""
+    places = " ".join(f"{x:.9f},{y:.9f},1000" for x, y in (degrees_of(e, 0) for e in east_m))
+    mode = "<altitudeMode>relativeToGround</altitudeMode>"
+    return f"<LineString>{mode}<coordinates>{places}</coordinates></LineString>"
+
+
+def test_lines_of_a_kml_that_go_on_are_one_path(tmp_path):
+    parts = "</Placemark><Placemark>".join([line_of(0, 100), line_of(100, 200), line_of(200, 300)])
+    flight = flown(tmp_path, "way.kml", KML.format(parts))
+    np.testing.assert_allclose(flight.pose(2.5).position, [250, 0, 1000], atol=2 * MILLIMETRE)
+    apart = "</Placemark><Placemark>".join([line_of(0, 100), line_of(180, 200)])
+    with pytest.raises(ValueError, match=r"got 2 parts in apart\.kml: LineString of 2 points"):
+        flown(tmp_path, "apart.kml", KML.format(apart))
 
 
 def test_degrees_come_to_their_place_in_the_scene(tmp_path):

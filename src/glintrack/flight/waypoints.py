@@ -4,8 +4,10 @@ CSV is in ENU metres or in degrees; KML is a line, or a track with times. Column
 without altitude, and altitudes relative to unknown ground (``clampToGround``) are errors.
 """
 
+import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
 
@@ -14,8 +16,10 @@ from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 from jaxtyping import Float
 
+from glintrack.camera import Pose, from_yaw_pitch_roll, rotation
 from glintrack.core.arrays import Array
 from glintrack.io.crs import change_crs, check_not_exchanged
+from glintrack.io.readings import report_reading
 from glintrack.io.tables import read_csv
 from glintrack.io.untrusted import plain, read_text
 
@@ -102,6 +106,9 @@ ENU = ("east_m", "north_m", "up_m")
 GEOGRAPHIC = ("longitude_deg", "latitude_deg", "altitude_m")
 _MAX_DISTANCE_M, _MAX_TIME_S = 1e7, 1e11
 ATTITUDE = ("heading_deg", "roll_deg", "pitch_deg")
+ORDERS = ("heading-roll-pitch", "yaw-pitch-roll")
+_SAME_ATTITUDE_RAD = 1e-4  # a pixel of 12 µm behind a lens of 120 mm
+_SAME_PLACE_DEG = 1e-9
 
 
 def read_waypoints(
@@ -161,12 +168,12 @@ def _read_csv(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
     name, table = path.name, read_csv(path, "waypoint_file", types=str)
     header = [] if table.empty else list(table.columns)
     places = [names for names in (ENU, GEOGRAPHIC) if set(names) <= set(header)]
-    known = {*ENU, *GEOGRAPHIC, *ATTITUDE, "time_s"}
+    known = {*ENU, *GEOGRAPHIC, *ATTITUDE, "time_s", "order"}
     unknown = [key for key in header if key not in known]
     if len(places) != 1 or unknown:
         raise ValueError(
             f"`waypoint_file` must have the columns {', '.join(ENU)} or {', '.join(GEOGRAPHIC)}, and may "
-            f"have time_s, {', '.join(ATTITUDE)}; got {', '.join(header) or 'none'} in {name}."
+            f"have time_s, {', '.join(ATTITUDE)}, order; got {', '.join(header) or 'none'} in {name}."
         )
 
     def columns(names) -> Array:
@@ -187,7 +194,40 @@ def _read_csv(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
     if attitude and len(attitude) < len(ATTITUDE):
         raise ValueError(f"`waypoint_file` must give all of {', '.join(ATTITUDE)} or none; got {attitude}.")
     time_s = columns(("time_s",))[:, 0] if "time_s" in header else None
-    return Waypoints(place, time_s, np.radians(columns(ATTITUDE)) if attitude else None)
+    report_reading(path, "points", len(place), len(place))
+    if not attitude:
+        return Waypoints(place, time_s)
+    orders = sorted({str(one).strip() for one in table["order"]}) if "order" in header else []
+    return Waypoints(place, time_s, _in_our_order(np.radians(columns(ATTITUDE)), orders, name))
+
+
+def _in_our_order(angles_rad: Float[Array, "point 3"], orders: list[str], name: str) -> Array:
+    """Convert heading, roll and pitch to our order; refuse them without an order if that matters. [rad]"""
+    if orders == [ORDERS[0]]:
+        return angles_rad
+    if orders and orders != [ORDERS[1]]:
+        raise ValueError(f"`order` must be {' or '.join(ORDERS)} in all rows; got {orders[0]!r} in {name}.")
+    given = [Pose(0.0, 0.0, 0.0, *angles) for angles in angles_rad.tolist()]
+    turned = [from_yaw_pitch_roll(pose) for pose in given]
+    apart_rad = [np.linalg.norm(rotation(a) - rotation(b)) for a, b in zip(given, turned, strict=True)]
+    if orders:
+        return np.array([(pose.heading_rad, pose.roll_rad, pose.pitch_rad) for pose in turned])
+    if max(apart_rad, default=0.0) > math.sqrt(2) * _SAME_ATTITUDE_RAD:
+        raise ValueError(
+            f"`waypoint_file` must have a column `order`, {' or '.join(ORDERS)} (as of inertial systems); "
+            f"got none in {name}. The orders differ by {math.degrees(max(apart_rad)) / math.sqrt(2):.2g}°."
+        )
+    return angles_rad
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A line or track of a KML: tag, altitude mode, places, and times of a track. [°, m, s]"""
+
+    tag: str
+    mode: str
+    degrees: Float[Array, "point 3"]
+    seconds: Float[Array, "point"] | None
 
 
 def _read_kml(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
@@ -196,36 +236,67 @@ def _read_kml(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
         root = fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise ValueError(f"`waypoint_file` must be plain KML; got {name}: {error}.") from error
-    tagged = {_tag(e): e for e in reversed(list(root.iter()))}  # the first of each
-    track = tagged.get("Track")
-    found = tagged.get("LineString") if track is None else track
-    if found is None:
+    elements = [e for e in root.iter() if _tag(e) in ("LineString", "Track")]
+    if not elements:
         raise ValueError(f"`waypoint_file` must hold a LineString or a gx:Track; got neither in {name}.")
-    mode = next((str(e.text).strip() for e in found if _tag(e) == "altitudeMode"), "clampToGround")
+    parts = [_read_part(element, name) for element in elements]
+    multi = [e for e in root.iter() if _tag(e) == "MultiTrack"]
+    if not all(_follows(a, b, len(multi) == 1) for a, b in pairwise(parts)):
+        texts = (f"{part.tag} of {len(part.degrees)} points" for part in parts[:6])
+        raise ValueError(
+            f"`waypoint_file` must hold one line or track, or lines end to end; got {len(parts)} parts in "
+            f"{name}: {', '.join(texts)}. Keep one."
+        )
+    first = parts[0]
+    shared = [0] + [int(first.seconds is None)] * (len(parts) - 1)  # the last point of the line before
+    degrees = np.concatenate([part.degrees[k:] for part, k in zip(parts, shared, strict=True)])
+    angles = sum(_tag(e) == "angles" and bool(str(e.text or "").strip()) for e in root.iter())
+    report_reading(
+        path,
+        "points",
+        sum(len(part.degrees) for part in parts),
+        len(degrees),
+        {"ends that two lines share": sum(shared)},
+        [f"{len(parts)} parts"] + [f"{angles} gx:angles are not used"] * (angles > 0),
+    )
+    times = [part.seconds for part in parts if part.seconds is not None]
+    time_s = start_s + np.concatenate(times) - times[0][0] if times else None
+    return Waypoints(to_enu(degrees, datum_m if first.mode == "absolute" else 0.0), time_s)
+
+
+def _follows(a: _Part, b: _Part, is_one_multitrack: bool) -> bool:
+    """Return True if a part goes on where, or in one gx:MultiTrack after, another ends."""
+    if (a.tag, a.mode) != (b.tag, b.mode) or not (len(a.degrees) and len(b.degrees)):
+        return False
+    if a.tag == "LineString":
+        return bool(np.abs(a.degrees[-1] - b.degrees[0]).max() <= _SAME_PLACE_DEG)
+    if a.seconds is None or b.seconds is None or not is_one_multitrack:
+        return False
+    return bool(a.seconds[-1] < b.seconds[0])
+
+
+def _read_part(element: Element, name: str) -> _Part:
+    """Read a LineString or gx:Track."""
+    mode = next((str(e.text).strip() for e in element if _tag(e) == "altitudeMode"), "clampToGround")
     if mode not in ("absolute", "relativeToGround"):
         raise ValueError(
             f"`waypoint_file` must have altitudeMode absolute or relativeToGround; got {mode} in {name}."
         )
-    if track is None:
-        texts = str(next((e.text for e in found if _tag(e) == "coordinates"), "") or "").split()
-        degrees = _triples([t.split(",") for t in texts], name)
-        time_s = None
-    else:
-        degrees = _triples([str(e.text).split() for e in track if _tag(e) == "coord"], name)
-        try:
-            when = [datetime.fromisoformat(str(e.text).strip()) for e in track if _tag(e) == "when"]
-        except ValueError as error:
-            raise ValueError(
-                f"`waypoint_file` must have times as in ISO 8601; got {error} in {name}."
-            ) from error
-        if len(when) != len(degrees):
-            raise ValueError(
-                f"`waypoint_file` must have a time for each place of its track; got {len(when)} times and "
-                f"{len(degrees)} places in {name}."
-            )
-        seconds = [(t if t.tzinfo else t.replace(tzinfo=UTC)).timestamp() for t in when]
-        time_s = start_s + np.array(seconds) - seconds[0] if when else None
-    return Waypoints(to_enu(degrees, datum_m if mode == "absolute" else 0.0), time_s)
+    if _tag(element) == "LineString":
+        texts = str(next((e.text for e in element if _tag(e) == "coordinates"), "") or "").split()
+        return _Part("LineString", mode, _triples([t.split(",") for t in texts], name), None)
+    degrees = _triples([str(e.text).split() for e in element if _tag(e) == "coord"], name)
+    try:
+        when = [datetime.fromisoformat(str(e.text).strip()) for e in element if _tag(e) == "when"]
+    except ValueError as error:
+        raise ValueError(f"`waypoint_file` must have times as in ISO 8601; got {error} in {name}.") from error
+    if len(when) != len(degrees):
+        raise ValueError(
+            f"`waypoint_file` must have a time for each place of its track; got {len(when)} times and "
+            f"{len(degrees)} places in {name}."
+        )
+    seconds = [(t if t.tzinfo else t.replace(tzinfo=UTC)).timestamp() for t in when]
+    return _Part("Track", mode, degrees, np.array(seconds) if when else None)
 
 
 def _tag(element: Element) -> str:

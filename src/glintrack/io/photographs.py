@@ -16,7 +16,7 @@ import pyproj
 from jaxtyping import Float
 from pydantic import Field, model_validator
 
-from glintrack.camera import Camera, Pose, from_omega_phi_kappa
+from glintrack.camera import Camera, Pose, from_omega_phi_kappa, from_yaw_pitch_roll
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design, types_of, validate_design
 from glintrack.core.distortion import Distortion
@@ -104,6 +104,9 @@ class PoseFile(Design):
     heading_deg: float | None = _optional(3600, "Clockwise from north")
     roll_deg: float | None = _optional(3600, "Right wing down is positive")
     pitch_deg: float | None = _optional(3600, "Nose up is positive")
+    order: Literal["heading-roll-pitch", "yaw-pitch-roll"] | None = Field(
+        default=None, description="Order of the turns: as Presnar et al., or as inertial systems write them"
+    )
     gimbal_azimuth_deg: float = Field(default=0.0, ge=-3600, le=3600, description="Clockwise from the nose")
     gimbal_depression_deg: float = Field(
         default=90.0, ge=-360, le=360, description="Below the airframe's horizontal plane; 90 is down"
@@ -127,11 +130,20 @@ class PoseFile(Design):
 
 @dataclass(frozen=True)
 class PlacedPose:
-    """A reported pose in metres from an origin in a projected CRS."""
+    """A reported pose in metres from an origin in a projected CRS.
+
+    Parameters
+    ----------
+    pose, crs, origin_m
+        Pose, CRS, and easting and northing of the origin. [m]
+    other_order
+        Pose by the other order of angles, if the file does not state its order.
+    """
 
     pose: Pose
     crs: str
     origin_m: tuple[float, float]
+    other_order: Pose | None = None
 
 
 def camera_file(camera: Camera) -> str:
@@ -157,7 +169,8 @@ def pose_file(placed: PlacedPose) -> str:
     }
     angles["heading_deg"] %= 360
     place = {"easting_m": east_m + pose.east_m, "northing_m": north_m + pose.north_m, "height_m": pose.up_m}
-    return to_toml({"crs": placed.crs, **{k: float(v) for k, v in {**place, **angles}.items()}})
+    order = {"order": "heading-roll-pitch"}
+    return to_toml({"crs": placed.crs, **order, **{k: float(v) for k, v in {**place, **angles}.items()}})
 
 
 def read_camera(path: Path) -> Camera:
@@ -213,6 +226,9 @@ def read_pose(path: Path, frame_name: str) -> PlacedPose:
             heading += _true_north(to_crs, x, y)
         angles = (file.roll_deg, file.pitch_deg, file.gimbal_azimuth_deg, file.gimbal_depression_deg)
         pose = Pose(*place, heading, *(math.radians(angle or 0.0) for angle in angles), kind="reported")
+        if file.order is None:
+            return PlacedPose(pose, crs.to_wkt(), origin, from_yaw_pitch_roll(pose))
+        pose = from_yaw_pitch_roll(pose) if file.order == "yaw-pitch-roll" else pose
     return PlacedPose(pose, crs.to_wkt(), origin)
 
 

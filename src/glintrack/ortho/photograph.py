@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.camera import Camera, rays
+from glintrack.camera import Camera, project, rays
 from glintrack.core.arrays import Array
 from glintrack.core.schema import check
 from glintrack.io import images, netcdf
@@ -179,6 +179,7 @@ def rectify(
         raise ValueError(
             f"`pose` must look below the horizon; got a line of sight at or above it in the frame. {remedy}"
         )
+    _check_order(lens, placed)
     photograph = Photograph.read(source, lens, placed)
     level = isinstance(ground, int | float)
     if level and not MIN_HEIGHT_M <= ground <= MAX_HEIGHT_M:
@@ -213,6 +214,20 @@ def rectify(
             f"{bands.shape[1]} cells without any. Both are in units of the CRS: degrees for EPSG:4326."
         )
     return Orthophoto(bands, names, grid, tags, photograph.dtype if photograph.dtype in _EXACT else "float32")
+
+
+def _check_order(camera: Camera, placed: PlacedPose) -> None:
+    """Refuse a pose whose file does not state the order of its angles, if that matters by a pixel."""
+    if placed.other_order is None:
+        return
+    border, far_m = frame_border(camera), 1000.0
+    seen = placed.pose.position + far_m * rays(camera, placed.pose, border)
+    apart = np.linalg.norm(project(camera, placed.other_order, seen) - border, axis=-1).max()
+    if not apart <= 1:  # also if it is NaN, for a place behind the lens
+        raise ValueError(
+            f"`pose.order` must be given; got none, and places differ by up to {apart:,.0f} pixels. Add "
+            'order = "yaw-pitch-roll" for angles of an inertial system, else "heading-roll-pitch".'
+        )
 
 
 def _void_share(ground: Array, camera: Camera, placed: PlacedPose, east: Array, north: Array) -> float:
