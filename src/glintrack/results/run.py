@@ -223,7 +223,7 @@ def score(
 
 
 _WARM_UP = {"flight.frames": 6}
-KERNELS = 192  # that the warm-up compiles, about
+KERNELS = 400  # that the warm-up compiles, about
 
 
 def compile_kernels() -> None:

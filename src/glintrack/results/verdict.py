@@ -175,7 +175,7 @@ def stage_shares(tree: xr.DataTree) -> dict[str, dict[str, float]]:
     return {group: one for group, one in found.items() if one}
 
 
-_BOUND_WORDS = {"sensor": "lower bound from sensor noise", "detector": "lower bound from detections"}
+_BOUND_WORDS = {"sensor": "lower bound from sensor noise", "detector": "single detections"}
 
 
 def format_accuracy(attributes: Mapping[Any, Any]) -> str:
