@@ -19,6 +19,8 @@ from glintrack.sensor import build_sensor
 from tests.bounds.test_run import case
 from tests.plain import plain_sensor
 
+HECTARE = (-50.0, -50.0, 50.0, 50.0)
+
 
 def test_a_smooth_blob_says_what_the_closed_form_says():
     """μ = B + A exp(−r²/2s²) in elements of pitch p: I = π A²/(2 p² (B + σ²)) each way, for A ≪ B."""
@@ -51,7 +53,7 @@ def flight(track_offset_m=(0.3, 0.0), frames=12):
         place = np.array([[10.0 * t, 5.0]])
         sightings.append(
             FrameTruth(
-                float(t), np.array([0.0, -2000.0]), 1e4, np.array([3]), place, np.array([np.pi / 2]),
+                float(t), np.array([0.0, -2000.0]), HECTARE, np.array([3]), place, np.array([np.pi / 2]),
                 np.array([0.5]), np.array([True]), np.array([4.5]),
             )
         )  # fmt: skip
@@ -101,7 +103,7 @@ def test_of_many_that_come_and_go_each_is_bounded_as_if_alone():
         place = np.stack([10.0 * (0.5 * k - 2.0 * ids), 3.0 * ids], axis=1)
         sightings.append(
             FrameTruth(
-                0.5 * k, np.array([0.0, -2000.0]), 1e4, 1000 - ids, place, ids / 10.0,
+                0.5 * k, np.array([0.0, -2000.0]), HECTARE, 1000 - ids, place, ids / 10.0,
                 rng.uniform(0.1, 1, len(ids)), rng.random(len(ids)) < 0.9, np.full(len(ids), 4.5),
             )
         )  # fmt: skip
@@ -122,7 +124,7 @@ def test_of_many_that_come_and_go_each_is_bounded_as_if_alone():
 
 def test_detections_where_nothing_drives_are_all_false():
     nothing = np.empty((0, 2))
-    bare = FrameTruth(0.0, np.zeros(2), 1e4, *(np.empty(0, int), nothing), *[np.empty(0)] * 2,
+    bare = FrameTruth(0.0, np.zeros(2), HECTARE, *(np.empty(0, int), nothing), *[np.empty(0)] * 2,
                     np.empty(0, bool), np.empty(0))  # fmt: skip
     tracks = xr.Dataset({"east_m": ("track", []), "north_m": ("track", [])}, coords={"track": []})
     made = FrameTracking.of(bare, np.array([[1.0, 2.0], [3.0, 4.0]]), tracks)

@@ -64,7 +64,7 @@ def test_a_run_writes_one_whole_folder(monkeypatch, three_cars, case_file, tmp_p
     assert {p.name for p in folder.glob("tracks_pan*")} == {f"tracks_pan{ending}" for ending in WRITERS}
     truth, typed = pd.read_csv(folder / "truth.csv"), pd.read_parquet(folder / "truth.parquet")
     assert list(truth.columns) == list(typed.columns) and len(truth) == len(typed) > 0
-    np.testing.assert_allclose(truth, typed, rtol=1e-5)  # the CSV has six digits
+    np.testing.assert_allclose(truth, typed.astype(float), rtol=1e-5)  # the CSV has six digits
     tree = xr.open_datatree(folder / "result.nc", engine="h5netcdf")
     assert len(tracks) == tree["pan/tracks"].sizes["row"] > 0
     scores = pd.read_csv(folder / "scores_pan.csv")

@@ -71,7 +71,7 @@ FILES: Mapping[str, Callable[[Path], None]] = {
     "camera.toml": readers.text("focal_length_mm = 20.0\npitch_um = 10.0\nrows = 24\ncolumns = 32\n"),
     "pose.toml": readers.text(
         'crs = "EPSG:32618"\neasting_m = 0.0\nnorthing_m = 0.0\nheight_m = 900.0\nheading_deg = 10.0\n'
-        "roll_deg = 1.0\npitch_deg = -2.0\n"
+        'roll_deg = 1.0\npitch_deg = -2.0\norder = "heading-roll-pitch"\n'
     ),
     "grid.toml": readers.text(readers.GRID),
     "etalon.toml": readers.text("wavelength_step_um = 0.1\n"),
@@ -133,6 +133,7 @@ CALLS = (
     _call("study run @study.toml -o >studied --serial --cache >kept"),
     _call("study report @study"),
     _call("case list"),
+    _call("case new >mycam.toml --pixels 64x64 --pitch 10 --focal-length 50 --altitude 1000 --rate 2"),
     _call("warm-up"),
     _call("case check @case.toml"),
     _call("case check @scene.toml"),

@@ -33,3 +33,12 @@ def test_epochs_without_tracks_count_at_the_same_rate(recwarn):
     some = table(times[[3, 4, 5, 7, 8, 9, 12, 13, 14, 15]], "track_id")
     scores = score_rows(some, table(times, "vehicle_id"))
     assert scores["completeness"] == pytest.approx(0.5) and not recwarn.list
+
+
+def test_a_track_beyond_the_box_on_a_vehicle_at_its_edge_counts():
+    """54 of 60 vehicle positions are tracked, without a false track: MOTA = 1 − 6/60."""
+    truth = table(np.arange(20) / 2, "vehicle_id", 3)
+    tracks = truth.rename(vehicle_id="track_id").isel(row=np.arange(60) % 10 > 0)
+    off = tracks.assign(north_m=tracks["north_m"] + np.where(tracks["track_id"] == 0, -1.2, 0.2))
+    scores = score_rows(off, truth)
+    assert scores["mota"] == pytest.approx(0.9) and scores["completeness"] == pytest.approx(0.9)

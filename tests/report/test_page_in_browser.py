@@ -159,8 +159,8 @@ def test_a_click_on_a_track_shows_its_life(opened):
     page.mouse.click(*watched.place(made.FIRST_X_M + made.SPEED_M_S * t, made.FIRST_Y_M))
     watched.settle()
     said = page.locator("#track-text").inner_text()
-    assert said.startswith("Track 4 in pan: 0.00 s to 2.50 s, 6 epochs, 0 of them without a detection.")
-    assert "On vehicle 11 (red) in 6 epochs. 0 identity switches." in said
+    assert said.startswith("Track 4 in pan: 0.00 s to 2.50 s, 6 frames, 0 of them without a detection.")
+    assert "On vehicle 11 (red) in 6 frames. 0 identity switches." in said
     assert page.locator("#spectra canvas").count() == 1
     card, picture = page.locator("#track-card").bounding_box(), page.locator("#panels").bounding_box()
     assert card["x"] >= picture["x"] + picture["width"] and card["y"] < picture["y"] + picture["height"]

@@ -55,6 +55,7 @@ def test_a_mesh_with_materials_is_flown_with_its_traffic(tmp_path):
     head = "timestep_time;vehicle_id;vehicle_type;vehicle_x;vehicle_y;vehicle_angle\n"
     (tmp_path / "fcd.csv").write_text(head + "\n".join(rows))
     keys = 'city = "mesh"\nmesh_file = "campus.glb"\nmaterials_file = "map.toml"\ntraffic_file = "fcd.csv"\n'
+    keys += 'area = "window"\n'  # more than the frame
     truth = flown(tmp_path, keys)
     np.testing.assert_allclose(truth["up_m"], 2.0, atol=1e-3)
     first = truth[truth["time_s"] == 0].set_index("vehicle_id")["visible_fraction"]

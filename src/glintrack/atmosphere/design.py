@@ -71,8 +71,9 @@ class AtmosphereDesign(Design):
     def _place_not_exchanged(cls, values: Any) -> Any:
         keys = ("latitude_deg", "longitude_deg")
         latitude, longitude = (values.get(key) if isinstance(values, dict) else None for key in keys)
-        both = isinstance(latitude, float | int) and isinstance(longitude, float | int)
-        if both and abs(longitude) <= 90 < abs(latitude) <= 180:
+        if not (isinstance(latitude, float | int) and isinstance(longitude, float | int)):
+            return values
+        if abs(longitude) <= 90 < abs(latitude) <= 180:
             raise ValueError(
                 f"`latitude_deg` must lie within ±90°; got {latitude:g} with longitude_deg = {longitude:g}. "
                 "Exchange them."

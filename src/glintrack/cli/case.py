@@ -118,9 +118,17 @@ def new(
     check_output(file, ".toml", option="file")
     if file.exists():
         raise ValueError(f"`file` must not exist yet; got {file}. Choose another name.")
-    size = re.fullmatch(r"(\d{1,6})[x×](\d{1,6})", pixels or "1x1")
+    size = re.fullmatch(r"(\d{1,6}) ?[x×] ?(\d{1,6})", pixels or "1x1")
     if size is None:
         raise ValueError(f"`--pixels` must be COLUMNSxROWS, as 2048x2048; got {pixels}.")
+    pairs = (
+        (sensor, "--sensor", {"--pixels": pixels, "--pitch": pitch}),
+        (lens, "--lens", {"--focal-length": focal_length}),
+    )
+    for named, option_name, others in pairs:
+        both = [other for other, value in others.items() if named and value is not None]
+        if both:
+            raise ValueError(f"`{option_name}` must be given without {both[0]}; got both. Leave one out.")
     if not 0 < rate <= 1000:
         raise ValueError(f"`--rate` must be above 0 and at most 1000 Hz; got {rate:g}.")
     columns, rows = map(int, size.groups()) if pixels else (None, None)

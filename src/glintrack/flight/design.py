@@ -62,8 +62,8 @@ class FlightDesign(Design):
         if isinstance(value, (int, float)) and MAX_ALTITUDE_M < value < 1e9:
             raise ValueError(
                 f"`flight.altitude_m` must be at most {MAX_ALTITUDE_M:,.0f} m, since satellites are outside "
-                f"the model's range; got {value:,.0f} m. To approximate the view, fly at that height with "
-                f"`sensor.focal_length_mm` × {MAX_ALTITUDE_M / value:.3g} for the same sample distance."
+                f"the model's range; got {value:,.0f} m. To approximate the view, fly at 10,000 m with "
+                f"`sensor.focal_length_mm` × {10_000 / value:.3g} for the same sample distance."
             )
         return value
 

@@ -64,7 +64,7 @@ def score_rows(
     UserWarning
         If only some times of tracks and truth are common: the others are not scored.
     """
-    (tracks,), truth = _at_common_times([tracks], truth)
+    tracks, truth = _at_common_times(tracks, truth)
     area_of = _area_function(area_m, truth)
     scores = score_epochs(tracks, truth, area_m, match_distance_m, moving_speed_m_s)
     epochs, of_vehicles = _epochs_of(truth)
@@ -72,7 +72,9 @@ def score_rows(
     (vehicles, vehicle_m), (found, track_m) = _objects(truth, "vehicle_id"), _objects(tracks, "track_id")
     alike, distances = [], []
     for track_rows, vehicle_rows, score in zip(of_tracks, of_vehicles, scores, strict=True):
-        t, v = track_rows[contains(area_of(score.time_s), track_m[track_rows])], vehicle_rows[score.inside]
+        inside = contains(area_of(score.time_s), track_m[track_rows])
+        own = inside | score.valid  # a track beyond the edge may be on a vehicle at it
+        t, v = track_rows[own], vehicle_rows[score.inside]
         alike.append(point_similarity(vehicles[v], vehicle_m[v], found[t], track_m[t], match_distance_m))
         distances.append((ospa(vehicle_m[v], track_m[t]), gospa(vehicle_m[v], track_m[t])))
     mean_ospa, mean_gospa = np.mean(distances, axis=0) if distances else (float("nan"), float("nan"))
@@ -105,8 +107,13 @@ def score_tables(
     moving_speed_m_s: float = MOVING_SPEED_M_S,
     first_s: float = -math.inf,
 ) -> list[list[EpochScore]]:
-    """Score several tables of tracks against the same truth like `score_epochs`."""
-    tables, truth = _at_common_times(tables, truth)
+    """Score several tables of tracks against the same truth like `score_epochs`.
+
+    Raises
+    ------
+    ValueError
+        If tracks are at a time that the truth does not have.
+    """
     area_of, out = _area_function(area_m, truth), []
     epochs, of_vehicles = _epochs_of(truth)
     areas, vehicles = [area_of(time_s) for time_s in epochs.tolist()], []
@@ -122,7 +129,11 @@ def score_tables(
         check_ids(one.ids, "vehicle")
     for tracks in tables:
         ids, place_m = _objects(tracks, "track_id")
-        of_tracks = _split(_epoch_of(tracks, epochs), len(epochs))
+        index = _epoch_of(tracks, epochs)
+        if (index < 0).any():
+            other = tracks["time_s"].values[index < 0][0]
+            raise ValueError(f"`tracks` must have times of the truth only; got tracks at {other:g} s.")
+        of_tracks = _split(index, len(epochs))
         at_epochs = zip(epochs.tolist(), of_tracks, vehicles, areas, strict=True)
         out.append(
             [
@@ -170,22 +181,20 @@ def _epoch_of(tracks: xr.Dataset, epochs: Float[Array, "epoch"]) -> Int[Array, "
     return np.where(np.abs(epochs[index] - time_s) <= SAME_TIME_S, index, -1)
 
 
-def _at_common_times(tables: Sequence[xr.Dataset], truth: xr.Dataset) -> tuple[list[xr.Dataset], xr.Dataset]:
+def _at_common_times(tracks: xr.Dataset, truth: xr.Dataset) -> tuple[xr.Dataset, xr.Dataset]:
     """Select the rows of tracks and truth at common times, and warn of the others.
 
     An epoch of the truth without tracks counts, unless the tracks are at every nth epoch and it is between.
     """
     epochs, _ = _epochs_of(truth)
-    of_rows = [_epoch_of(table, epochs) for table in tables]
-    known = [table["time_s"].values for table in tables if table.sizes.get("row")]
-    times_s = np.unique(np.concatenate([*known, np.empty(0)]))
-    common = np.unique(np.concatenate([*of_rows, np.empty(0, int)]))
-    common = common[common >= 0]
+    index = _epoch_of(tracks, epochs)
+    times_s = np.unique(tracks["time_s"].values) if tracks.sizes.get("row") else np.empty(0)
+    common = np.unique(index[index >= 0])
     if len(times_s) and not len(common):
         raise ValueError(
             f"`tracks` must have times of the truth; got {times_s[0]:g} to {times_s[-1]:g} s, and the "
-            f"truth's {len(epochs):,} times from {epochs[0]:g} to {epochs[-1]:g} s are others (do both count "
-            "from the same second?)"
+            f"truth's {len(epochs):,} times from {epochs[0]:g} to {epochs[-1]:g} s are others. Do both count "
+            "from the same second?"
         )
     steps, selected = np.diff(common), np.ones(len(epochs), bool)
     every = int(np.gcd.reduce(steps)) if len(steps) >= _REGULAR and np.median(steps) == steps.min() else 1
@@ -195,17 +204,16 @@ def _at_common_times(tables: Sequence[xr.Dataset], truth: xr.Dataset) -> tuple[l
     if strays > 0:
         warnings.warn(
             f"tracks have {len(times_s):,} times, {strays:,} of which are not the truth's: not scored",
-            stacklevel=4,
+            stacklevel=3,
         )
     if not selected.all():
         warnings.warn(
             f"tracks are at every {every}th of the truth's {len(epochs):,} times: scored at "
             f"{selected.sum():,} of them",
-            stacklevel=4,
+            stacklevel=3,
         )
         truth = truth.isel(row=selected[np.searchsorted(epochs, truth["time_s"].values)])
-    of_rows = [k >= 0 for k in of_rows]
-    return [t.isel(row=k) if not k.all() else t for t, k in zip(tables, of_rows, strict=True)], truth
+    return (tracks if (index >= 0).all() else tracks.isel(row=index >= 0)), truth
 
 
 def _area_function(area_m: Areas | None, truth: xr.Dataset) -> Callable[[float], Area]:
@@ -214,27 +222,10 @@ def _area_function(area_m: Areas | None, truth: xr.Dataset) -> Callable[[float],
         return area_m
     area = _area(truth) if area_m is None else area_m
     return lambda time_s: area
-
-
-def _marked_inside(truth: xr.Dataset) -> Array:
-    """Return True for each row that is marked as inside."""
-    return truth["inside"].values.astype(bool) if "inside" in truth else np.zeros(truth.sizes["row"], bool)
-
-
-def _area_function(area_m: Areas | None, truth: xr.Dataset) -> Callable[[float], Area]:
-    """Scored area at each epoch."""
-    if callable(area_m):
-        return area_m
-    area = _area(truth) if area_m is None else area_m
-    return lambda time_s: area
-
-
-def _marked_inside(truth: xr.Dataset) -> Array:
-    """Return True for each row that is marked as inside."""
-    return truth["inside"].values.astype(bool) if "inside" in truth else np.zeros(truth.sizes["row"], bool)
 
 
 def _area(truth: xr.Dataset) -> Extent:
+    """Box around the vehicles that are inside, or around all."""
     if not truth.sizes.get("row"):
         return Extent(-1.0, -1.0, 1.0, 1.0)
     inside, place = _marked_inside(truth), positions_of(truth)
@@ -243,3 +234,8 @@ def _area(truth: xr.Dataset) -> Extent:
     low, high = place.min(axis=0), place.max(axis=0)
     room_m = 0.0 if inside.any() and (high > low).all() else 1.0
     return Extent(*(low - room_m).tolist(), *(high + room_m).tolist())
+
+
+def _marked_inside(truth: xr.Dataset) -> Array:
+    """Return True for each row that is marked as inside."""
+    return truth["inside"].values.astype(bool) if "inside" in truth else np.zeros(truth.sizes["row"], bool)

@@ -102,7 +102,8 @@ def test_a_detector_of_the_raw_mosaic_sees_it_and_its_likelihood_counts():
             def detect(self, state, frame, ratio=ratio):
                 return replace(super().detect(state, frame), log_likelihood_ratio=np.array([ratio]))
 
-        state = track.start(detector=Sure())
+        design = track.TrackDesign().replace({"reporting.max_false_share": 0.5})
+        state = track.start(design, detector=Sure())
         for k in range(6):
             state, _ = track.step(state, track.Frame(0.5 * k, mosaic=mosaic(k), grid=GRID))
         np.testing.assert_allclose(track.report(state)["east_m"], [25.0], atol=0.5)

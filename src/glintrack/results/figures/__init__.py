@@ -27,7 +27,9 @@ MARKS: Mapping[str, str] = MappingProxyType(
 NO_DATA = "#606874"  # of a picture of the ground
 # lines by channel, as on the page; colour-blind eyes can tell them apart
 _STYLES = {"pan": ("#2f5fd0", "-"), "dolp": ("#b81a63", "--"), "all": ("#8a5a00", ":")}
-LOOP_STYLES = MappingProxyType({name: {"color": c, "linestyle": line} for name, (c, line) in _STYLES.items()})
+LOOP_STYLES: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {name: {"color": c, "linestyle": line} for name, (c, line) in _STYLES.items()}
+)
 
 
 def label_axes(axes: Axes, xlabel: str, ylabel: str, title: str = "", **settings: Any) -> None:
