@@ -137,7 +137,7 @@ def test_numbers_are_for_people(value, text):
 
 
 def test_a_satellite_is_outside_the_range_and_told_what_to_do():
-    with pytest.raises(ValueError, match=r"satellites are outside.*focal_length_mm` × 0.04"):
+    with pytest.raises(ValueError, match=r"satellites are outside.*focal_length_mm` × 0.02"):
         validate_design(Case, {"flight": {"altitude_m": 500e3}})
 
 
