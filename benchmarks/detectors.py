@@ -154,12 +154,12 @@ def f1(recording: Recording, found: Found, least_nat: float = LIKELY_NAT) -> flo
     for one, truth in zip(found, recording.truths, strict=True):
         ratio = one.log_likelihood_ratio
         kept = np.ones(len(one), bool) if ratio is None else ratio >= least_nat
-        wanted = metrics.is_moving(truth) & metrics.is_in_area(truth, recording.extent_m)
-        wanted &= metrics.is_visible(truth)
+        should_be_found = metrics.is_moving(truth) & metrics.is_in_area(truth, recording.extent_m)
+        should_be_found &= metrics.is_visible(truth)
         place = np.stack([truth["east_m"].values, truth["north_m"].values], axis=1)
         scored = score_detections(one.position[kept], one.contrast[kept], place, truth["length_m"].values)
-        right += int((np.isfinite(scored.vehicle) & wanted).sum())
-        wrong, asked = wrong + len(scored.false), asked + int(wanted.sum())
+        right += int((np.isfinite(scored.vehicle) & should_be_found).sum())
+        wrong, asked = wrong + len(scored.false), asked + int(should_be_found.sum())
     return 2 * right / max(right + wrong + asked, 1)
 
 

@@ -237,7 +237,7 @@ EXISTENCE_FLIGHTS = (
     ("junction:1", ()), ("arterial:1", _NADIR), ("motorway:1", _NADIR),
 )  # fmt: skip
 EXISTENCE_VALID = {
-    "detector": "mosaic", "pitch_um": [17.0], "rate_hz": [2.0], "off_nadir_deg": [8.0, 50.0],
+    "detector": "mosaic", "gsd_m": [0.75], "rate_hz": [2.0], "off_nadir_deg": [8.0, 50.0],
     "speed_m_s": [0.0, 33.0], "flights": [" ".join((name, *keys)) for name, keys in EXISTENCE_FLIGHTS],
 }  # fmt: skip
 SETTLED_FRAMES = 4  # before it next to nothing is confirmed

@@ -49,9 +49,9 @@ DRONE = camera((3840, 2160), 2.4, 35.0, altitude_m=300.0, off_nadir_deg=0.0, rat
 )
 def test_sampling_and_footprint(case, across_m, along_m, footprint_m, on_car):
     found = view_quantities(case)
-    wanted = [across_m, along_m, *footprint_m, on_car]
+    expected = [across_m, along_m, *footprint_m, on_car]
     names = ("gsd_across_m", "gsd_along_m", "footprint_across_m", "footprint_along_m", "elements_on_car")
-    np.testing.assert_allclose([found[name] for name in names], wanted, rtol=1e-4)
+    np.testing.assert_allclose([found[name] for name in names], expected, rtol=1e-4)
 
 
 def test_the_papers_frame():

@@ -231,9 +231,9 @@ def test_a_bad_case_is_simulated_with_force_only(monkeypatch, three_cars, case_f
     text = SMALL.replace("frames = 9", "frames = 9\nstare_east_m = 5000")
     case_file.write_text(f"{text}[scene]\nwidth_m = 660\nheight_m = 420\n", encoding="utf-8")
     assert program(monkeypatch, "run", case_file, "-o", tmp_path / "out") == 2
-    told = capsys.readouterr().err
-    assert "must have no bad quantity; got 1: the stare point is" in told and "--force" in told
-    assert not (tmp_path / "out").exists() and told.count("\n") == 1
+    error = capsys.readouterr().err
+    assert "must have no bad quantity; got 1: the stare point is" in error and "--force" in error
+    assert not (tmp_path / "out").exists() and error.count("\n") == 1
     assert program(monkeypatch, "case", "check", case_file, "--json") == 0
     records = json.loads(capsys.readouterr().out)
     assert [one["name"] for one in records if one["answer"] == "bad"] == ["beyond_window"]

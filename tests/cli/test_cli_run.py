@@ -113,11 +113,11 @@ def one_car(frames):
 
 def test_a_requirement_is_judged_by_the_tracks_that_are_told():
     areas = dict.fromkeys(range(12), (-10.0, -10.0, 200.0, 10.0))
-    wanted, flown = read_requirement("completeness>=0.4"), one_car(12)
-    found = assess_tracks(flown, wanted, "pan", areas)
+    requirement, flown = read_requirement("completeness>=0.4"), one_car(12)
+    found = assess_tracks(flown, requirement, "pan", areas)
     assert found.value == 0.5 and found.answer == "yes"
     flown["pan"].attrs["learning_frames"] = 3.0
-    assert assess_tracks(flown, wanted, "pan", {}).answer == "undecided"  # no frame is scored
+    assert assess_tracks(flown, requirement, "pan", {}).answer == "undecided"  # no frame is scored
 
 
 def test_a_requirement_counts_from_the_end_of_learning():

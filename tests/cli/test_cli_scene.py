@@ -145,8 +145,8 @@ def test_traffic_without_end_is_refused(tmp_path):
     asked = ["scene", "traffic", "-o", str(tmp_path / "t.nc"), "--insertion-period", "1e-300"]
     done = run(app, asked)
     assert done.exit_code and not list(tmp_path.iterdir())
-    told = "`traffic_insertion_period_s` must be greater than or equal to 0.01 s; got 1e-300 s"
-    assert told in str(done.exception)
+    message = "`traffic_insertion_period_s` must be greater than or equal to 0.01 s; got 1e-300 s"
+    assert message in str(done.exception)
 
 
 @pytest.mark.sumo

@@ -13,19 +13,23 @@ SIZES = {"stokes": 3}
 def example(name, size=4, dtype=float):
     """The least dataset that satisfies a schema: lowest legal numbers, units on everything."""
     variables, coords = {}, {}
-    for variable, wanted in SCHEMAS[name].items():
-        shape = [SIZES.get(dim, size) for dim in wanted.dims]
-        level = wanted.lowest if np.isfinite(wanted.lowest) else 0.5
-        attrs = {"units": wanted.units}
-        if "stokes" in wanted.dims:
+    for variable, variable_schema in SCHEMAS[name].items():
+        shape = [SIZES.get(dim, size) for dim in variable_schema.dims]
+        level = variable_schema.lowest if np.isfinite(variable_schema.lowest) else 0.5
+        attrs = {"units": variable_schema.units}
+        if "stokes" in variable_schema.dims:
             attrs["stokes_frame"] = "meridian"
             coords["stokes"] = ["I", "Q", "U"]
-        for dim in wanted.dims:
+        for dim in variable_schema.dims:
             if dim in COORDINATE_UNITS:
                 units = "element" if name == "frame" and dim in "xy" else COORDINATE_UNITS[dim]
                 coords[dim] = (dim, np.arange(size, dtype=float), {"units": units})
-        values = np.full(shape, wanted.choices[0]) if wanted.choices else np.full(shape, level, dtype)
-        variables[variable] = (wanted.dims, values, attrs)
+        values = (
+            np.full(shape, variable_schema.choices[0])
+            if variable_schema.choices
+            else np.full(shape, level, dtype)
+        )
+        variables[variable] = (variable_schema.dims, values, attrs)
     return xr.Dataset(variables, coords)
 
 
@@ -100,10 +104,10 @@ def test_texts_are_of_the_choices():
 
 def test_stokes_coordinate_must_be_the_components():
     dataset = example("frame").assign_coords(stokes=["I", "U", "Q"])
-    wanted = r"`frame\.stokes_radiance` must have a stokes coordinate I Q U \[V\]; got"
-    with pytest.raises(ValueError, match=rf"{wanted} \['I', 'U', 'Q'\]"):
+    message = r"`frame\.stokes_radiance` must have a stokes coordinate I Q U \[V\]; got"
+    with pytest.raises(ValueError, match=rf"{message} \['I', 'U', 'Q'\]"):
         check(dataset, "frame")
-    with pytest.raises(ValueError, match=rf"{wanted} None"):
+    with pytest.raises(ValueError, match=rf"{message} None"):
         check(example("frame").drop_vars("stokes"), "frame")
 
 

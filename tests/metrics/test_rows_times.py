@@ -15,15 +15,15 @@ def table(times, name, count=2):
 
 
 @pytest.mark.parametrize(
-    ("tracks_s", "truth_s", "told"),
+    ("tracks_s", "truth_s", "warning"),
     [
-        (np.arange(21) / 2, np.arange(101) / 10, r"every 5th of the truth's 101 times: scored at 21"),
+        (np.arange(21) / 2, np.arange(101) / 10, r"one in 5 of the truth's 101 times: scored at 21"),
         (np.arange(101) / 10, np.arange(21) / 2, r"101 times, 80 of which are not the truth's"),
-        (np.arange(31) / 3, np.arange(101) / 10, r"every 10th of the truth's 101 times: scored at 11"),
+        (np.arange(31) / 3, np.arange(101) / 10, r"one in 10 of the truth's 101 times: scored at 11"),
     ],
 )
-def test_perfect_tracks_at_another_rate_are_complete(tracks_s, truth_s, told):
-    with pytest.warns(UserWarning, match=told):
+def test_perfect_tracks_at_another_rate_are_complete(tracks_s, truth_s, warning):
+    with pytest.warns(UserWarning, match=warning):
         scores = score_rows(table(tracks_s, "track_id"), table(truth_s, "vehicle_id"))
     assert scores["completeness"] == 1 and scores["purity"] == 1
 

@@ -41,10 +41,10 @@ def detections(clutter=0, missed=0.0, seed=0, judged=False):
         place = place + 0.3 * rng.standard_normal(place.shape)
         false = rng.uniform(AREA_M[:2], AREA_M[2:], (clutter, 2))
         n, one = len(place) + clutter, 0.36 * np.eye(2)
-        told = np.r_[np.full(len(place), 3.0), np.full(clutter, -1.0)] if judged else None
+        ratio = np.r_[np.full(len(place), 3.0), np.full(clutter, -1.0)] if judged else None
         found = track.Detections(
             np.concatenate([place, false]), np.repeat(one[None], n, 0), np.ones(n), np.ones(n),
-            log_likelihood_ratio=told,
+            log_likelihood_ratio=ratio,
         )  # fmt: skip
         out.append((float(t), found))
     return out
@@ -93,12 +93,12 @@ def test_where_tracks_are_reported_by_existence_the_flight_as_flown_lies_on_its_
     assert swept["threshold"].attrs["key"] == "reporting.max_false_share"
     assert (np.diff(swept["false_per_frame"].values) >= 0).all()
     assert swept["false_per_frame"].values[-1] > swept["false_per_frame"].values[0]
-    state, told = track.start(case.track.replace({"detect.channel": "pan"})), []
+    state, reports = track.start(case.track.replace({"detect.channel": "pan"})), []
     for time_s, one in found:
         state = track.step_detections(state, one, time_s, GRID)
-        told.append((time_s, track.report(state)))
+        reports.append((time_s, track.report(state)))
     learnt_s = TIMES_S[case.track.count_learning_frames(case.flight.rate_hz)]
-    flown = metrics.summarize(metrics.score_epochs(as_rows(told), truth(), AREA_M, first_s=learnt_s))
+    flown = metrics.summarize(metrics.score_epochs(as_rows(reports), truth(), AREA_M, first_s=learnt_s))
     own = swept.sel(threshold=swept.attrs["own"])
     for name in ("completeness", "false_per_frame", "purity"):
         assert float(own[name]) == pytest.approx(flown[name])

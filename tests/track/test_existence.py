@@ -110,11 +110,11 @@ def test_such_a_share_is_reported_as_may_be_false_the_likeliest_first():
     false = 1 / (1 + np.exp(odds))
     counts = []
     for share in (0.04, 0.06, 0.1):
-        told = reported_of("pan", targets, all_, own, share)
-        assert false[told].mean() <= share
-        assert odds[told].min() >= odds[~told].max()
-        assert (false[told].sum() + false[~told].min()) / (told.sum() + 1) > share
-        counts.append(told.sum())
+        reported = reported_of("pan", targets, all_, own, share)
+        assert false[reported].mean() <= share
+        assert odds[reported].min() >= odds[~reported].max()
+        assert (false[reported].sum() + false[~reported].min()) / (reported.sum() + 1) > share
+        counts.append(reported.sum())
     assert counts == sorted(set(counts))
     assert not reported_of("pan", targets, all_, own, 0.0).any()
     np.testing.assert_array_equal(reported_of("pan", targets, all_, own, 1.0), odds >= existence.MIN_LOG_ODDS)
@@ -128,8 +128,8 @@ def test_such_a_share_is_reported_as_may_be_false_the_likeliest_first():
 def test_one_is_reported_for_all_on_its_vehicle_as_the_likeliest_of_them():
     targets = followed([0.0, 50.0, 100.0], recent_ratio=np.array([-4.0, 4.0, -4.0]))
     primary, all_ = np.array([0, 0, 2]), np.ones(3, bool)
-    told = reported_of("pan", targets, all_, primary, 1.0)
-    np.testing.assert_array_equal(told, [True, False, False])
+    reported = reported_of("pan", targets, all_, primary, 1.0)
+    np.testing.assert_array_equal(reported, [True, False, False])
 
 
 def reported(ratios, design):
@@ -290,7 +290,7 @@ def test_the_oldest_leads_and_stands_in_the_middle_and_the_rest_stay():
 @pytest.mark.parametrize(("gap_m", "vehicles"), [(7.0, 1), (15.0, 2)])
 def test_two_ends_are_one_track_and_two_vehicles_are_two(gap_m, vehicles):
     design = plain_tracker().replace({"query.policy": "none", "reporting.max_false_share": 0.5} | EXISTENCE)
-    state, told = track.start(design), []
+    state, reported = track.start(design), []
     for k in range(14):
         middle = 10.0 * INTERVAL_S * k
         place = np.array([[middle - gap_m / 2, 0.0], [middle + gap_m / 2, 0.0]])
@@ -299,8 +299,8 @@ def test_two_ends_are_one_track_and_two_vehicles_are_two(gap_m, vehicles):
             log_likelihood_ratio=np.full(2, 3.5),
         )  # fmt: skip
         state = track.step_detections(state, found, INTERVAL_S * k, AREA)
-        told.append(track.report(state))
-    settled = told[6:]
+        reported.append(track.report(state))
+    settled = reported[6:]
     assert {one.sizes["track"] for one in settled} == {vehicles}
     assert len({tuple(one["track"].values.tolist()) for one in settled}) == 1
     if vehicles == 1:

@@ -35,6 +35,12 @@ def test_vehicles_that_move_farther_than_their_gap_give_their_velocity(interval_
     np.testing.assert_allclose(velocity[0], [30.0, 0.0], atol=1.0)
 
 
+def test_flow_is_learnt_at_a_low_frame_rate_too():
+    velocity, trusted = birth_velocity(learn((15.0, 80.0, 0.0), interval_s=2.0), np.array([[10.0, 0.0]]))
+    assert trusted.all()
+    np.testing.assert_allclose(velocity, [[15.0, 0.0]], atol=0.5)
+
+
 def test_each_carriageway_has_its_own_direction():
     flow = learn((30.0, 41.0, -8.0), (-28.0, 37.0, 8.0))
     velocity, trusted = birth_velocity(flow, np.array([[0.0, -8.0], [0.0, 8.0]]))

@@ -1,4 +1,4 @@
-"""Tracks told late: by what came after, and by nothing that came later than that."""
+"""Tracks reported with a fixed lag: by what came within it, and by nothing later."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def states(found, lag_s=LAG_S):
     return out
 
 
-def told(found, lag_s=LAG_S):
+def lagged_reports(found, lag_s=LAG_S):
     """Tracks of each frame."""
     return list(track.report_epochs(states(found, lag_s)))
 
@@ -56,13 +56,13 @@ def drive(k, missed=()):
 @pytest.mark.parametrize("lag_s", [0.0, 0.3, 0.5, 1.5, 60.0])
 def test_every_frame_is_told_once_in_order(lag_s):
     found = [drive(k) for k in range(FRAMES)]
-    times = [one.attrs["time_s"] for one in told(found, lag_s)]
+    times = [one.attrs["time_s"] for one in lagged_reports(found, lag_s)]
     np.testing.assert_allclose(times, INTERVAL_S * np.arange(FRAMES))
 
 
 def test_without_a_lag_it_is_what_is_told_at_once():
     found = [drive(k, missed=(10, 11)) for k in range(FRAMES)]
-    for one, state in zip(told(found, 0.0), states(found, 0.0), strict=True):
+    for one, state in zip(lagged_reports(found, 0.0), states(found, 0.0), strict=True):
         assert one.identical(track.report(state))
 
 
@@ -72,7 +72,7 @@ def test_what_comes_later_than_the_lag_changes_nothing():
     cars = [[(east(k), 0.0)] if k not in (cut - 2, cut - 1) else np.empty((0, 2)) for k in range(FRAMES)]
     found = [seen(np.concatenate([car, rng.uniform(-250, 250, (6, 2))])) for car in cars]
     other = found[:cut] + [seen(rng.uniform(-250, 250, (6, 2))) for _ in found[cut:]]
-    a, b = told(found), told(other)
+    a, b = lagged_reports(found), lagged_reports(other)
     known = cut - round(LAG_S / INTERVAL_S)
     assert all(one.identical(two) for one, two in zip(a[:known], b[:known], strict=True))
     assert not all(one.identical(two) for one, two in zip(a[known:cut], b[known:cut], strict=True))
@@ -82,7 +82,7 @@ def test_a_gap_is_the_straight_line_between_both_measurements():
     """The car turns off while nothing sees it: where it coasts to is wrong by then."""
     found = [drive(k) if k < 12 else seen([(east(k) - 2.0, 2.0 * (k - 12.5))]) for k in range(FRAMES)]
     found[12], found[13] = seen([]), seen([])
-    at_once, then = track.report(states(found)[13]), told(found)[13]
+    at_once, then = track.report(states(found)[13]), lagged_reports(found)[13]
     ident = int(at_once["track"][0])
     after = next(one for one in states(found)[14:] if (one.targets.misses == 0).any())
     assert ident in after.targets.id, "the same track is found again"
@@ -96,13 +96,13 @@ def test_a_gap_is_the_straight_line_between_both_measurements():
 def test_a_track_is_told_back_to_before_its_first_detection_and_no_farther():
     born = 8
     found = [drive(k, missed=range(born)) for k in range(FRAMES)]
-    first = next(k for k, one in enumerate(told(found)) if one.sizes["track"])
+    first = next(k for k, one in enumerate(lagged_reports(found)) if one.sizes["track"])
     assert born - round(reporting.MAX_BACK_S / INTERVAL_S) <= first < born
     for k in range(first, born):
-        one = told(found)[k]
+        one = lagged_reports(found)[k]
         assert one.sizes["track"] == 1 and one["status"].values[0] == "coasted"
         np.testing.assert_allclose([one["east_m"][0], one["north_m"][0]], [east(k), 0.0], atol=2.0)
-    live = next(k for k, one in enumerate(told(found, 0.0)) if one.sizes["track"])
+    live = next(k for k, one in enumerate(lagged_reports(found, 0.0)) if one.sizes["track"])
     assert live >= born
 
 
@@ -138,7 +138,7 @@ def test_nothing_unmeasured_is_told_if_the_design_says_so():
     design = DESIGN.replace({"reporting.lag_s": LAG_S, "reporting.coasted": False})
     quiet = list(track.report_epochs(replace(state, design=design) for state in states(found)))
     assert all((one["status"].values == "measured").all() for one in quiet)
-    assert any((one["status"].values == "coasted").any() for one in told(found))
+    assert any((one["status"].values == "coasted").any() for one in lagged_reports(found))
 
 
 def test_where_detections_say_nothing_of_themselves_nothing_waits():

@@ -30,6 +30,8 @@ def tracker_notes(case: Case) -> list[str]:
     ranges = [read_calibration(detector.replace("-", "_")).valid]
     if design.reporting.uses_existence:
         ranges += [read_calibration(name).valid for name in ("existence", "existence_smoothed")]
+    if design.initiation.flow_velocity:
+        ranges.append(read_calibration("flow").valid)
     ranges += [read_calibration("initiation").valid[design.initiation.rules]]
     values = {
         "rate_hz": ("frame rate", case.flight.rate_hz, " Hz"),
@@ -45,7 +47,7 @@ def tracker_notes(case: Case) -> list[str]:
         if fitted := [of[quantity] for of in ranges if quantity in of]:
             low, high = sorted((max(map(min, fitted)), min(map(max, fitted))))
             margin = _MARGIN_DEG if unit == "°" else _MARGIN * value
-            if not low - margin <= value <= high + margin:
+            if not all(min(one) - margin <= value <= max(one) + margin for one in fitted):
                 at = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
                 outside.append(f"{words} {value:.3g}{unit} (fitted at {at}{unit})")
     fitted = {of["detector"] for of in ranges if "detector" in of} - {detector}

@@ -84,7 +84,7 @@ def score(
     if scores["completeness"] <= _MIN_PLAUSIBLE and rows.sizes.get("row"):  # NaN if no vehicle moves
         if hint := _coordinate_hint(rows, known):
             console.print(hint, style="yellow")
-    around = "the truth that is `inside`" if "inside" in known else "the truth"
+    around = "the truth that is `inside`" if "inside" in known and known["inside"].any() else "the truth"
     where = "the area given" if area is not None else f"the box around {around} (--area gives another)"
     share = f"no vehicle in {where} is as fast as --moving-m-s: none should be tracked"
     if (held := scores["completeness"]) == held:

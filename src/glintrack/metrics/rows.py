@@ -208,7 +208,7 @@ def _at_common_times(tracks: xr.Dataset, truth: xr.Dataset) -> tuple[xr.Dataset,
         )
     if not selected.all():
         warnings.warn(
-            f"tracks are at every {every}th of the truth's {len(epochs):,} times: scored at "
+            f"tracks are at one in {every} of the truth's {len(epochs):,} times: scored at "
             f"{selected.sum():,} of them",
             stacklevel=3,
         )

@@ -8,10 +8,11 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
+from glintrack.track.calibration import read_calibration
 from glintrack.track.design import InitiationRules, TrackDesign
 from glintrack.track.detect.detections import no_detections
 from glintrack.track.detect.frame import Grid
-from glintrack.track.flow import SIGMA_M_S, Flow, birth_velocity, no_flow
+from glintrack.track.flow import Flow, birth_velocity, no_flow
 from glintrack.track.motion import COAST_DAMPING_S, Modes, combine_modes, initial_modes
 
 TENTATIVE_MISSES = 1  # consecutive frames that an unconfirmed track may miss
@@ -229,7 +230,7 @@ def initiate(design, found, spectral, index, next_id, flow: Flow, roads=None, ap
     if velocity is None and design.initiation.flow_velocity:
         velocity, trusted = birth_velocity(flow, place)
         velocity[~trusted] = 0.0
-        speed[trusted] = SIGMA_M_S**2 * np.eye(2)
+        speed[trusted] = read_calibration("flow").constants["sigma_m_s"] ** 2 * np.eye(2)
     ratio = None if ratio is None else ratio[index]
     modes = initial_modes(place, found.covariance[index], speed, design.motion.modes, velocity)
     mean, covariance = combine_modes(modes)

@@ -1,4 +1,4 @@
-"""Cities from files a user brings: what the files say is there, what they do not say is told."""
+"""Cities from files a user brings: what the files say is there, what they do not say is stated."""
 
 from dataclasses import replace
 
@@ -143,8 +143,12 @@ def test_streets_through_buildings_are_told(files):
     polygon = '<poly id="{}" type="building" height="9" shape="{} {}"/>'
     shapes = [polygon.format(k, ring, ring.split()[0]) for k, ring in enumerate((over, beside, grazed))]
     (files / "p.xml").write_text(f"<additional>{''.join(shapes)}</additional>")
-    told = [a for a in build_scene(tiny(files, polygons_file=str(files / "p.xml"))).assumptions if "cut" in a]
-    assert told == ["1 street runs through buildings, which are cut open along it, without a roof above: ab"]
+    sentences = [
+        a for a in build_scene(tiny(files, polygons_file=str(files / "p.xml"))).assumptions if "cut" in a
+    ]
+    assert sentences == [
+        "1 street runs through buildings, which are cut open along it, without a roof above: ab"
+    ]
     assert not any("cut open" in a for a in build_scene(tiny(files)).assumptions)
 
 
@@ -241,8 +245,11 @@ def test_a_town_of_openstreetmap_stands_and_is_driven_in(tmp_path, monkeypatch):
     assert city.crs == "EPSG:32632"
     assert (city.latitude_deg, city.longitude_deg) == pytest.approx((50.0, 8.0), abs=2e-3)
     assert city.truth(60.0).sizes["vehicle"] > 0
-    told = " ".join(city.assumptions)
-    assert "2 of 4 building heights are unknown" in told and "traffic keeps right, as in the country" in told
+    sentences = " ".join(city.assumptions)
+    assert (
+        "2 of 4 building heights are unknown" in sentences
+        and "traffic keeps right, as in the country" in sentences
+    )
     # the same extract finds its traffic in the cache: netconvert's dated comments do not count
     build_scene(design)
     assert len(list((tmp_path / "cache" / "glintrack" / "traffic").iterdir())) == 1
