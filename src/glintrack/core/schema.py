@@ -8,6 +8,8 @@ import xarray as xr
 
 RADIANCE = "W m-2 sr-1 um-1"
 COUNT = "count"  # of an uncalibrated camera
+# tracking channels, as people read them
+CHANNEL_WORDS = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
 TRACK_STATUSES = ("measured", "coasted", "tentative")  # tentative: reported later, once confirmed
 IRRADIANCE = "W m-2 um-1"
 MOVING_SPEED_M_S = 1.0  # a vehicle of the truth at least this fast is moving

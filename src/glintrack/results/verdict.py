@@ -17,11 +17,10 @@ from glintrack.atmosphere import sun_direction
 from glintrack.case.check import assess_case
 from glintrack.case.design import Case
 from glintrack.case.quantities import ground_view
-from glintrack.core.schema import MIN_SCORED_S
+from glintrack.core.schema import CHANNEL_WORDS, MIN_SCORED_S
 from glintrack.metrics.requirement import MIN_FRAMES, is_too_short
 from glintrack.results.collect import scored_times
 
-CHANNEL_WORDS: Mapping[str, str] = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
 _LOSSES = {
     "in_view": "vehicles outside the frame",
     "visible": "occlusion by buildings and trees",

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from glintrack.atmosphere import solve_tables
 from glintrack.case.design import Case
+from glintrack.core.schema import CHANNEL_WORDS
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
 from glintrack.io.atomic import write_bytes, write_text
 from glintrack.io.images import write_figure
@@ -31,7 +32,6 @@ from glintrack.results.figures.frame import azimuth_of, draw_bearings, on_map
 from glintrack.results.film import picture_name
 from glintrack.results.froc import flight_froc
 from glintrack.results.recorder import Colour, Recorder
-from glintrack.results.verdict import CHANNEL_WORDS
 from glintrack.sensor import response_curves
 from glintrack.sensor.sensor import ETALON_STEPS
 

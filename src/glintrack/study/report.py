@@ -32,7 +32,7 @@ from glintrack.study.design import flat
 from glintrack.study.folder import VIEW, read_results, select_finished_replicates
 from glintrack.study.intervals import units
 from glintrack.study.plan import FIELD_KEYS
-from glintrack.study.text_tables import CHANNEL_NAMES, CHANNELS, NAMES, RANKED_BY, RESPONSES
+from glintrack.study.text_tables import CHANNEL_WORDS, CHANNELS, NAMES, RANKED_BY, RESPONSES
 
 SEED = 0  # of the bootstrap, for reproducible reports
 _SPREAD = ("latin-hypercube", "sobol")  # designs with a surrogate
@@ -241,7 +241,7 @@ def _draw_intervals(rows: pd.DataFrame, xlabel: str) -> Figure:
     labels, groups = list(dict.fromkeys(rows["label"])), list(dict.fromkeys(rows["group"]))
     figure = Figure(figsize=(7.2, 1.2 + (0.22 + 0.06 * len(groups)) * len(labels)), layout="constrained")
     ax = figure.add_subplot()
-    styles = {CHANNEL_NAMES[name]: style for name, style in CHANNELS.items()}
+    styles = {CHANNEL_WORDS[name]: style for name, style in CHANNELS.items()}
     for k, group in enumerate(groups):
         part = rows[rows["group"] == group]
         y = [labels.index(label) + 0.6 * ((k + 0.5) / len(groups) - 0.5) for label in part["label"]]
@@ -265,7 +265,7 @@ def _remove_frame(ax: Axes) -> None:
 
 
 def _draw_effects(mine: pd.DataFrame, score: str) -> Figure:
-    rows = mine.assign(label=mine["axis"] + ": " + mine["level"], group=mine["channel"].map(CHANNEL_NAMES))
+    rows = mine.assign(label=mine["axis"] + ": " + mine["level"], group=mine["channel"].map(CHANNEL_WORDS))
     return _draw_intervals(rows.rename(columns={"effect": "value"}), f"change of {score} ({_INTERVAL})")
 
 
@@ -281,7 +281,7 @@ def _draw_sobol(mine: pd.DataFrame, score: str) -> Figure:
     for name, text in (("first", "first order"), ("total", "total")):
         columns = {name: "value", f"{name}_low": "low", f"{name}_high": "high", "axis": "label"}
         part = mine[["channel", *columns]].rename(columns=columns)
-        parts.append(part.assign(group=part["channel"].map(CHANNEL_NAMES) + f", {text}"))
+        parts.append(part.assign(group=part["channel"].map(CHANNEL_WORDS) + f", {text}"))
     return _draw_intervals(pd.concat(parts), f"share of the variance of {score} ({_INTERVAL})")
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import pandas as pd
 
 from glintrack.bounds import STAGE_LABELS
+from glintrack.core.schema import CHANNEL_WORDS
 from glintrack.study.intervals import FEW_UNITS
 
 MAX_P = 0.05  # of `p_max_t`, for an effect that is significant
@@ -60,7 +61,6 @@ NAMES = {
     },
 }
 CHANNELS = {"pan": ("tab:gray", "o"), "dolp": ("tab:blue", "s"), "all": ("tab:green", "^")}
-CHANNEL_NAMES = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
 
 
 def headline(table: pd.DataFrame) -> str:
@@ -165,7 +165,7 @@ def _interval(row: Mapping[str, Any]) -> str:
 
 
 def _channel(row: Mapping[str, Any]) -> str:
-    return CHANNEL_NAMES.get(row["channel"], row["channel"])
+    return CHANNEL_WORDS.get(row["channel"], row["channel"])
 
 
 def _describe_best_point(points: pd.DataFrame) -> str:

@@ -9,6 +9,7 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from glintrack.core.arrays import Array
 from glintrack.core.records import Extent
+from glintrack.core.schema import CHANNEL_WORDS
 from glintrack.results.figures import DOLP, LOOP_STYLES, MARKS, MAX_DOLP, NO_DATA, RADIANCE, label_axes
 
 QUERY_COLOUR = "#dc267f"
@@ -156,7 +157,8 @@ def show_completeness(ax: Axes, result: xr.DataTree) -> None:
         if channel in result.children:
             node = result[channel]
             purity = float(node.attrs.get("purity", np.nan))
-            label = f"{channel} (purity {purity:.2f})" if np.isfinite(purity) else channel
+            name = CHANNEL_WORDS[channel]
+            label = f"{name} (purity {purity:.2f})" if np.isfinite(purity) else name
             ax.plot(node["time"], node["completeness"], label=label, **style)
     label_axes(ax, "time [s]", "track completeness", "Track completeness, Eq. (13)", ylim=(0, 1.02))
     ax.legend()
