@@ -22,7 +22,7 @@ scores = {name: simulate(case)["pan"].attrs for name, case in designs.items()}
 # Vehicles held per km² and false tracks per km², the headline of every report.
 
 figure, axes = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")
-for ax, score in zip(axes, ("held_per_km2", "false_per_km2"), strict=True):
+for ax, score in zip(axes, ("tracked_per_km2", "false_per_km2"), strict=True):
     bars = ax.bar(list(scores), [of[score] for of in scores.values()], color="#648fff")
     ax.bar_label(bars, fmt="%.0f")
     ax.set_ylabel(score.replace("_per_km2", " per km²"))

@@ -94,7 +94,7 @@ def table1() -> Iterator[str]:
     yield "|" + " --- |" * 5
     found = table1_rows()
     for (axis, level), words in TABLE1.items():
-        held = [found.get((channel, "held_per_km2", axis, level)) for channel in CHANNELS]
+        held = [found.get((channel, "tracked_per_km2", axis, level)) for channel in CHANNELS]
         seen = found.get(("all", "completeness_visible", axis, level))
         cells = [_effect(row, 1) for row in held] + [_effect(seen, 3)]
         if seen is None:  # all elements are pan
@@ -122,7 +122,7 @@ def loss_budget() -> Iterator[str]:
 
 def standard() -> Iterator[str]:
     """Tabulate the scores of each channel in the standard case."""
-    columns = {"held_per_km2": 1, "completeness_visible": 3, "custody": 3, "purity": 3, "false_per_km2": 1}
+    columns = {"tracked_per_km2": 1, "completeness_visible": 3, "custody": 3, "purity": 3, "false_per_km2": 1}
     yield "| | tracked per km² | of visible | custody | purity | false tracks per km² |"
     yield "|" + " --- |" * 6
     found = {(row["point"], row["channel"], row["response"]): row for row in rows_of("standard_points")}
@@ -155,7 +155,7 @@ def strays(text: str, known: Iterable[tuple[float, float, float]]) -> list[str]:
 
 def known_rows() -> list[tuple[Row, int]]:
     """Effects of Table 1 with a sign that is known beforehand, and that sign."""
-    scores = "held_per_km2", "completeness_visible", "custody"
+    scores = "tracked_per_km2", "completeness_visible", "custody"
     return [
         (row, KNOWN_BETTER[axis, level])
         for (_, score, axis, level), row in table1_rows().items()

@@ -14,7 +14,7 @@ from glintrack.core.progress import step
 from glintrack.metrics.requirement import read_requirement
 
 SCORES = {
-    "held_per_km2": 118.2, "completeness": 0.302, "completeness_visible": 0.341, "custody": 0.338,
+    "tracked_per_km2": 118.2, "completeness": 0.302, "completeness_visible": 0.341, "custody": 0.338,
     "false_per_km2": 11.4, "purity": 0.941, "identity_switches": 9.0,
 }  # fmt: skip
 

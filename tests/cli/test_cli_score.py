@@ -74,7 +74,7 @@ def test_where_the_truth_says_what_is_inside_a_runs_scores_come_back(tmp_path):
     tracks.to_csv(tmp_path / "tracks.csv", index=False)
     found = score(tmp_path / "tracks.csv", tmp_path / "truth.csv")
     assert found["completeness"] == 0.5
-    assert found["held_per_km2"] == pytest.approx(1 / (90e-3 * 5e-3))
+    assert found["tracked_per_km2"] == pytest.approx(1 / (90e-3 * 5e-3))
     assert score(tmp_path / "tracks.csv", tmp_path / "truth.csv", (0, 0, 1000, 10))["completeness"] < 0.5
     in_a_row = truth.assign(north_m=0.0)
     in_a_row.to_csv(tmp_path / "truth.csv", index=False)  # True and False, and a box without height

@@ -41,5 +41,5 @@ def test_its_cells_run_in_order(tmp_path, monkeypatch):
         if value != steeper.case.flight.model_dump()[key]
     }
     assert changed == {"off_nadir_deg"} and oblique.case.sensor == steeper.case.sensor
-    assert list(table.columns) == ["50°", "20°"] and table.loc["held_per_km2"].notna().all()
+    assert list(table.columns) == ["50°", "20°"] and table.loc["tracked_per_km2"].notna().all()
     assert (tmp_path / "result-steeper" / "tracks_all.csv").is_file()

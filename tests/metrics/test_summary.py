@@ -29,7 +29,7 @@ def test_the_definitions_are_frozen():
     assert metrics.is_visible(vehicles).tolist() == [True, False, True]
     assert metrics.area_km2(AREA) == pytest.approx(0.04)
     assert metrics.HEADLINE == (
-        "held_per_km2", "completeness", "completeness_visible", "custody", "false_per_km2"
+        "tracked_per_km2", "completeness", "completeness_visible", "custody", "false_per_km2"
     )  # fmt: skip
 
 

@@ -192,7 +192,7 @@ def test_summary():
     assert s["completeness"] == pytest.approx(0.75)
     assert s["false_per_frame"] == 0.5 and s["tracks_per_frame"] == 2
     assert s["false_per_km2"] == pytest.approx(0.5 / 0.04)  # of a window of 200 m × 200 m
-    assert s["held_per_km2"] == pytest.approx(1.5 / 0.04)
+    assert s["tracked_per_km2"] == pytest.approx(1.5 / 0.04)
     assert set(metrics.HEADLINE) <= set(s)
     assert s["position_rms_m"] == pytest.approx(math.sqrt((9 + 9 + 0) / 3))
 

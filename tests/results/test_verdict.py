@@ -224,12 +224,12 @@ def test_where_nothing_moves_that_and_the_false_tracks_are_said():
 def test_more_false_tracks_than_asked_for_are_told():
     case = Case.model_validate({"name": "n", "track": {"reporting": {"method": "existence"}}})
     for false, is_stated in ((183.0, True), (3.0, False)):
-        scores = {"all": SCORES["pan"] | {"held_per_km2": 12.5, "false_per_km2": false}}
+        scores = {"all": SCORES["pan"] | {"tracked_per_km2": 12.5, "false_per_km2": false}}
         said = " ".join(reservations(xr.DataTree(), scores, case))
         limit = f"{100 * case.track.reporting.max_false_share:.0f}"
         assert (f"94 of 100 reported tracks are false, more than the limit of {limit}" in said) == is_stated
     without_ratios = xr.DataTree.from_dict({"all/detections": xr.Dataset({"contrast": ("row", [1.0])})})
-    scores = {"all": SCORES["pan"] | {"held_per_km2": 12.5, "false_per_km2": 183.0}}
+    scores = {"all": SCORES["pan"] | {"tracked_per_km2": 12.5, "false_per_km2": 183.0}}
     assert "more than the limit" not in " ".join(reservations(without_ratios, scores, case))
 
 

@@ -151,7 +151,7 @@ def test_ranks_agree_where_a_detector_scores_all_designs_lower():
         ("ours", "weaker", 1.0), ("ours", "upside down", -1.0), ("weaker", "upside down", -1.0)
     ]  # fmt: skip
     assert set(found["designs"]) == {4} and found["low"].isna().all()
-    (shown,) = comparison_tables({"ranks": found.assign(channel="pan", response="held_per_km2")})
+    (shown,) = comparison_tables({"ranks": found.assign(channel="pan", response="tracked_per_km2")})
     assert shown.rows[0] == ("detector: ours and weaker", "tracked vehicles per km²", "pan", "4", "1.00")
 
 
@@ -172,8 +172,8 @@ def test_ranks_in_the_six_blocks_of_one_flight_have_an_interval():
 
 
 def test_contrasts_in_words():
-    of = table().assign(held_per_km2=lambda rows: rows["held"], over_time="{}")
-    found = all_contrasts(of, ["elements", "angle"], ["held_per_km2"], [ADDS], 0)
+    of = table().assign(tracked_per_km2=lambda rows: rows["held"], over_time="{}")
+    found = all_contrasts(of, ["elements", "angle"], ["tracked_per_km2"], [ADDS], 0)
     (told,) = contrast_tables(found)
     assert told.heads == ("where", "tracked vehicles per km²")
     assert (
@@ -218,21 +218,21 @@ def flights_of_five(replicates, seed, unit=1.0):
     rng = np.random.default_rng(seed)
     rows = [
         {"point": p * replicates + r, "replicate": r, "channel": "pan", "status": "finished", "a": p,
-         "over_time": "{}", "held_per_km2": 100 * p + unit * rng.normal()}
+         "over_time": "{}", "tracked_per_km2": 100 * p + unit * rng.normal()}
         for p in range(5) for r in range(replicates)
     ]  # fmt: skip
     return pd.DataFrame(rows)
 
 
 def aa_tests(table, seed=1):
-    return comparisons.aa_test(table, ["a"], "held_per_km2", ["pan"], np.random.default_rng(seed))
+    return comparisons.aa_test(table, ["a"], "tracked_per_km2", ["pan"], np.random.default_rng(seed))
 
 
 def test_one_in_twenty_excludes_zero():
     """30 studies of 20 A/A tests: 30 ± 5 of 600, were they independent."""
     excluded = [
         comparisons.aa_test(
-            flights_of_five(12, seed), ["a"], "held_per_km2", ["pan"], np.random.default_rng(seed)
+            flights_of_five(12, seed), ["a"], "tracked_per_km2", ["pan"], np.random.default_rng(seed)
         )
         for seed in range(30)
     ]
@@ -249,13 +249,13 @@ def test_an_interval_that_is_too_short_is_found(monkeypatch):
 
     monkeypatch.setattr(comparisons, "estimate", boastful)
     found = comparisons.aa_test(
-        flights_of_five(12, 1), ["a"], "held_per_km2", ["pan"], np.random.default_rng(1)
+        flights_of_five(12, 1), ["a"], "tracked_per_km2", ["pan"], np.random.default_rng(1)
     )
     assert found["excludes"].sum() > 5
 
 
 def test_few_flights_are_not_dealt():
     found = comparisons.aa_test(
-        flights_of_five(7, 1), ["a"], "held_per_km2", ["pan"], np.random.default_rng(1)
+        flights_of_five(7, 1), ["a"], "tracked_per_km2", ["pan"], np.random.default_rng(1)
     )
     assert found.empty

@@ -25,7 +25,7 @@ def table(at, score):
     """Rows as a study's table has them."""
     rows = pd.DataFrame(at, columns=AXES)
     return rows.assign(
-        point=range(len(at)), replicate=0, channel="pan", status="finished", held_per_km2=score
+        point=range(len(at)), replicate=0, channel="pan", status="finished", tracked_per_km2=score
     )
 
 
@@ -79,7 +79,7 @@ def test_replicates_are_left_out_together():
 
 def test_a_table_says_how_well_flights_left_out_are_predicted():
     at, score = flights(60, noise=4.0)
-    lines, check = surrogates(table(at, score), AXES, "held_per_km2", "pan", LOG)
+    lines, check = surrogates(table(at, score), AXES, "tracked_per_km2", "pan", LOG)
     assert set(lines["axis"]) == set(AXES) and len(lines) == 18
     told = check.iloc[0]
     assert told["flights"] == 60 and told["terms"] == 6
@@ -96,5 +96,5 @@ def test_chance_and_words_are_no_axes_of_a_surface():
 
 def test_too_few_flights_make_no_surrogate():
     at, score = flights(4, noise=1.0)
-    lines, check = surrogates(table(at, score), AXES, "held_per_km2", "pan", LOG)
+    lines, check = surrogates(table(at, score), AXES, "tracked_per_km2", "pan", LOG)
     assert lines.empty and check.empty

@@ -9,10 +9,10 @@ from glintrack.study.text_tables import NAMES, SHORT, answer, importance
 COLUMNS = ["channel", "response", "axis", "level", "effect", "low", "high", "p_max_t"]
 EFFECTS = pd.DataFrame(
     [
-        ["pan", "held_per_km2", "sensor.pitch_um", "8.5 against 17", 40.0, 20.0, 60.0, 0.01],
-        ["dolp", "held_per_km2", "sensor.pitch_um", "8.5 against 17", 30.0, 10.0, 50.0, 0.01],
-        ["pan", "held_per_km2", "scene.seed", "2 against 1", 70.0, -10.0, 150.0, 0.3],
-        ["pan", "held_per_km2", "flight.rate_hz", "10 against 2", -12.0, -15.0, -9.0, 0.01],
+        ["pan", "tracked_per_km2", "sensor.pitch_um", "8.5 against 17", 40.0, 20.0, 60.0, 0.01],
+        ["dolp", "tracked_per_km2", "sensor.pitch_um", "8.5 against 17", 30.0, 10.0, 50.0, 0.01],
+        ["pan", "tracked_per_km2", "scene.seed", "2 against 1", 70.0, -10.0, 150.0, 0.3],
+        ["pan", "tracked_per_km2", "flight.rate_hz", "10 against 2", -12.0, -15.0, -9.0, 0.01],
         ["pan", "completeness_visible", "sensor.pitch_um", "8.5 against 17", 0.11, 0.05, 0.2, 0.01],
         ["pan", "stage_detector", "sensor.pitch_um", "8.5 against 17", 0.2, 0.1, 0.3, 0.01],
         ["pan", "false_per_km2", "sensor.pitch_um", "8.5 against 17", 3.0, -1.0, 7.0, 0.4],
@@ -52,7 +52,7 @@ def test_the_channel_that_holds_most_speaks_and_the_others_stand_beside_it():
     points = pd.DataFrame(
         [["base", 90.0, "pan"], ["base", 120.0, "dolp"], ["8.5", 130.0, "pan"], ["8.5", 150.0, "dolp"]],
         columns=["point", "score", "channel"],
-    ).assign(response="held_per_km2")
+    ).assign(response="tracked_per_km2")
     one = EFFECTS[EFFECTS["axis"] == "sensor.pitch_um"]
     assert answer({"effects": one, "points": points}) == (
         "`sensor.pitch_um`, 8.5 against 17: +30 tracked vehicles per km² (+10 to +50, significant) in DoLP, "
@@ -69,8 +69,8 @@ def test_every_share_says_of_which_vehicles_it_is():
 
 
 def test_the_answer_ends_with_what_stands_against_what():
-    rows = [["adaptive less pan", "held_per_km2", "base", 1.0, -1.0, 2.0, 0.4],
-            ["adaptive less pan", "held_per_km2", "all", 23.1, 16.8, 27.8, 0.001]]  # fmt: skip
+    rows = [["adaptive less pan", "tracked_per_km2", "base", 1.0, -1.0, 2.0, 0.4],
+            ["adaptive less pan", "tracked_per_km2", "all", 23.1, 16.8, 27.8, 0.001]]  # fmt: skip
     columns = ["contrast", "response", "point", "effect", "low", "high", "p_max_t"]
     said = answer({"effects": EFFECTS, "contrasts": pd.DataFrame(rows, columns=columns)})
     assert said.endswith(" Adaptive less pan: +23.1 tracked vehicles per km² (+16.8 to +27.8, significant).")
@@ -79,7 +79,7 @@ def test_the_answer_ends_with_what_stands_against_what():
 def test_without_effects_the_best_design_answers():
     rows = [["base", 120.0, 90.0, 150.0, "pan"], ["base", 140.0, np.nan, np.nan, "all"]]
     points = pd.DataFrame(rows, columns=["point", "score", "low", "high", "channel"])
-    said = answer({"points": points.assign(response="held_per_km2")})
+    said = answer({"points": points.assign(response="tracked_per_km2")})
     assert said == "Highest: 140 tracked vehicles per km² in all elements."
     assert answer({}) == ""
 

@@ -61,7 +61,7 @@ app, warm_up_app = command_app(), command_app()
 
 _STAGES = {"light": "rendering (waiting for it)", "callback": "loss budget, images"}
 _SCORES = {
-    "held_per_km2": "per km²",
+    "tracked_per_km2": "per km²",
     "completeness": "moving",
     "completeness_visible": "visible",
     "custody": "custody",

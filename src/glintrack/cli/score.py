@@ -1,6 +1,7 @@
 """``glintrack score``: score any tracks against the truth."""
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -87,8 +88,8 @@ def score(
     around = "the truth that is `inside`" if "inside" in known and known["inside"].any() else "the truth"
     where = "the area given" if area is not None else f"the box around {around} (--area gives another)"
     share = f"no vehicle in {where} is as fast as --moving-m-s: none should be tracked"
-    if (held := scores["completeness"]) == held:
-        share = f"a share of {_text(held)} of the moving vehicles is tracked"
+    if not math.isnan(tracked := scores["completeness"]):
+        share = f"a share of {_text(tracked)} of the moving vehicles is tracked"
     console.print(
         f"{share}; track purity is {_text(scores['purity'])}; there are {_text(scores['false_per_frame'])} "
         f"false tracks per frame; areas are of {where}"

@@ -16,7 +16,7 @@ from glintrack.core.arrays import Array
 from glintrack.metrics.multi_object import Similarity, idf1
 from glintrack.metrics.tracks import EpochScore, Over
 
-HEADLINE = ("held_per_km2", "completeness", "completeness_visible", "custody", "false_per_km2")
+HEADLINE = ("tracked_per_km2", "completeness", "completeness_visible", "custody", "false_per_km2")
 
 DELAY_S = 10.0
 _SAME_TIME_S = 5e-3  # times in files are rounded
@@ -27,7 +27,7 @@ def summarize(epochs: Sequence[EpochScore]) -> dict[str, float]:
 
     Returns
     -------
-    The headline: ``held_per_km2`` (moving vehicles of the area that have a track) [km⁻²], ``completeness``
+    The headline: ``tracked_per_km2`` (moving vehicles of the area that have a track) [km⁻²], ``completeness``
     of all movers, ``completeness_visible``, ``custody`` [1] and ``false_per_km2`` [km⁻²]. Others:
     ``completeness_with_stopped``, ``purity`` [1], ``false_per_frame``, ``tracks_per_frame``,
     ``vehicles_per_frame`` (that should be tracked), ``identity_switches``, ``median_time_to_loss_s`` [s],
@@ -35,7 +35,7 @@ def summarize(epochs: Sequence[EpochScore]) -> dict[str, float]:
     """
     errors = np.concatenate([e.distance_m[e.valid] for e in epochs]) if epochs else np.empty(0)
     return {
-        "held_per_km2": _mean([e.valid.sum() / e.area_km2 for e in epochs]),
+        "tracked_per_km2": _mean([e.valid.sum() / e.area_km2 for e in epochs]),
         "completeness": _mean(completeness(epochs)),
         "completeness_visible": _mean(completeness(epochs, "visible")),
         "completeness_with_stopped": _mean(completeness(epochs, "all")),

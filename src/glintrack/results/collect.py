@@ -175,7 +175,7 @@ def _over_time(times_s: Array, exposures_ms: Sequence[float], loop: Loop, learnt
         "completeness": metrics.completeness(loop.scores),
         "completeness_visible": metrics.completeness(loop.scores, "visible"),
         "purity": metrics.running_purity(loop.scores),
-        "held_per_km2": valid / area_km2,
+        "tracked_per_km2": valid / area_km2,
         "false_tracks": false,
         "false_per_km2": false / area_km2,
         "should": np.array([s.should.sum() for s in loop.scores], float),

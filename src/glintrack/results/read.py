@@ -23,7 +23,7 @@ _MAX_CASE_BYTES = 4_000_000
 _MAX_PICTURE_BYTES = 100_000_000
 _MARKS = ("case.toml", "provenance.toml", "result.nc")
 SCORE_LABELS: Mapping[str, str] = {
-    "held_per_km2": "tracked vehicles per km²",
+    "tracked_per_km2": "tracked vehicles per km²",
     "completeness": "completeness of all movers",
     "completeness_visible": "completeness of visible vehicles",
     "custody": "custody",

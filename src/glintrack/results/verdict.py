@@ -296,7 +296,7 @@ def _about_design(
     with contextlib.suppress(OSError, ValueError):  # a file that the case names is not here
         judged = assess_case(case, ("view", "sensor"))
         yield from (f"Design: {one.reason}." for one in judged if one.answer == "bad")
-    valid, false = (float(scores.get(key, math.nan)) for key in ("held_per_km2", "false_per_km2"))
+    valid, false = (float(scores.get(key, math.nan)) for key in ("tracked_per_km2", "false_per_km2"))
     limit, share = case.track.reporting.max_false_share, false / (valid + false) if false > 0 else math.nan
     found = f"/{name}/detections"
     used = case.track.effective(found not in tree.groups or "log_likelihood_ratio" in tree[found])

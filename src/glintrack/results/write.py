@@ -40,7 +40,7 @@ TRUTH_COLUMNS = (
     "length_m", "width_m", "height_m", "visible_fraction", "inside", "moving",
 )  # fmt: skip
 SCORE_COLUMNS = (
-    "time_s", "completeness", "completeness_visible", "purity", "held_per_km2", "false_tracks",
+    "time_s", "completeness", "completeness_visible", "purity", "tracked_per_km2", "false_tracks",
     "false_per_km2", "should", "valid", "queries_asked", "queries_served", "exposure_ms",
 )  # fmt: skip
 SKY_WAVELENGTH_UM = 0.55

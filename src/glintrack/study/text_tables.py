@@ -23,7 +23,7 @@ _ROUNDING = 1e-9
 _DASH = "–"
 
 RESPONSES = (
-    "held_per_km2",
+    "tracked_per_km2",
     "completeness",
     "completeness_visible",
     "custody",
@@ -41,12 +41,12 @@ SHORT = {
     "stage_known_background": "of all: background known",
     "stage_detector": "of all: detector",
 }
-RANKED_BY = ("held_per_km2", "completeness_visible", "custody")  # scores by which designs are ranked
+RANKED_BY = ("tracked_per_km2", "completeness_visible", "custody")  # scores by which designs are ranked
 # scores shown with the headline
 _CONTEXT = ("false_per_km2", "completeness_visible", "stage_known_background", "stage_detector")
 _EXPLAINING = ("completeness_visible", "custody", "stage_known_background", "stage_predicted_background")
 NAMES = {
-    "held_per_km2": "tracked vehicles per km²",
+    "tracked_per_km2": "tracked vehicles per km²",
     "custody": "custody",
     "false_per_km2": "false tracks per km²",
     "completeness": "completeness, of all moving vehicles",

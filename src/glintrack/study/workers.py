@@ -144,7 +144,7 @@ def scores(case: Case, tree: xr.DataTree, channel: str) -> dict[str, Any]:
     found: dict[str, Any] = {str(name): float(value) for name, value in {**node.attrs, **quality}.items()}
     bits_per_frame = sensor.rows * sensor.columns * sensor.bits
     found["data_rate_mbit_s"] = 1e-6 * bits_per_frame * case.flight.rate_hz
-    names = ("completeness", "completeness_visible", "held_per_km2", "false_per_km2")
+    names = ("completeness", "completeness_visible", "tracked_per_km2", "false_per_km2")
     over_time = {**dict(zip(names, names, strict=True)), "false_per_frame": "false_tracks"}
     found["frames"] = float(node.sizes["time"])  # simulated ones
     scored = slice(int(node.attrs["learning_frames"]), None)

@@ -160,8 +160,8 @@ def busiest_place(network: RoadNetwork, width_m: float, height_m: float) -> tupl
     np.add.at(count, (index[:, 0] + 1, index[:, 1] + 1), 1.0)
     total = count.cumsum(axis=0).cumsum(axis=1)
     wide, high = (max(min(round(m / cell), n), 1) for m, n in zip((width_m, height_m), size, strict=True))
-    held = total[wide:, high:] - total[:-wide, high:] - total[wide:, :-high] + total[:-wide, :-high]
-    i, j = np.unravel_index(np.argmax(held), held.shape)
+    covered = total[wide:, high:] - total[:-wide, high:] - total[wide:, :-high] + total[:-wide, :-high]
+    i, j = np.unravel_index(np.argmax(covered), covered.shape)
     east, north = low + cell * (np.array([i, j]) + np.array([wide, high]) / 2)
     return round(float(east), 1), round(float(north), 1)
 
