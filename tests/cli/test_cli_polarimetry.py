@@ -158,7 +158,7 @@ GOOD = np.full((8, 8), 100, np.uint16)
         ({"a": GOOD}, ("--layout", "0 x / 45 90"), "`layout` must hold 'mirror', 'open' or angles"),
         ({"a": GOOD}, ("--calibration", "none.nc"), "`calibration` must be a readable file; got none.nc"),
         ({"a": GOOD}, ("--saturated", 2), "`max_saturated` must be"),
-        ({"a": GOOD}, ("--rate", 0), "`rate` must be greater than 0"),
+        ({"a": GOOD}, ("--rate", 0), "`--rate` must be greater than or equal to 0.001 Hz; got 0 Hz"),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_sentence_and_leaves_nothing(run, tmp_path, arrays, options, message):

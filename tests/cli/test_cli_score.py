@@ -88,7 +88,7 @@ def test_where_the_truth_says_what_is_inside_a_runs_scores_come_back(tmp_path):
     ("options", "said"),
     [
         (("--json", "truth.csv"), "`json` must end in .json; got 'truth.csv'"),
-        (("--moving-m-s", "nan"), "`moving-m-s` must be 0 m/s or more; got nan"),
+        (("--moving-m-s", "nan"), "`--moving-m-s` must be greater than or equal to 0 m/s; got nan"),
     ],
 )
 def test_wrong_options_are_refused_and_overwrite_nothing(files, monkeypatch, capsys, options, said):

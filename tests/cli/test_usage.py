@@ -9,7 +9,16 @@ from tests.cli.test_cli import program
     ("words", "parts"),
     [
         ("study table1 --workers 0", ("--workers", "greater than or equal to 1")),
-        ("run --frames x", ("--frames", "valid integer")),
+        ("run --frames x", ("`--frames` must be a whole number; got 'x' (see",)),
+        (
+            "sensor ghosts relay --pitch-um 3,45",
+            ("`--pitch-um` must be a number in µm; got '3,45'. Write 3.45",),
+        ),
+        ("sensor ghosts relay --gap-mm 2,000", ("got '2,000'. Write 2000 or 2.000, with a point",)),
+        ("score a b --match-m 20m", ("a number in m; got '20m'. Write the number without its unit",)),
+        ("score a b --area 0 1,5 2 3", ("`--area` must be a number in m; got '1,5'. Write 1.5",)),
+        ("run --require custody>=0,8", ("got '0,8'. Write 0.8, with a point",)),
+        ("run --set sensor.pitch_um=3,45um", ("got '3,45um'. Write 3.45, with a point. Write the number",)),
         ("ortho a.png --camera c --pose p -o o.tif --method cubicc", ("--method", "cubicc", "bilinear")),
         ("ortho a.png", ("--camera", "glintrack ortho --help")),
         ("run --frame 3", ("--frame", "--frames", "glintrack run --help")),

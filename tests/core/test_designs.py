@@ -216,7 +216,7 @@ def test_a_number_with_its_unit_is_told_the_unit_of_its_key():
     with pytest.raises(ValueError, match="a number in µm") as caught:
         Case().replace({"sensor.pitch_um": "8.5um", "sensor.rows": "many"})
     assert str(caught.value).splitlines() == [
-        "`sensor.pitch_um` must be a number in µm; got '8.5um'.",
+        "`sensor.pitch_um` must be a number in µm; got '8.5um'. Write the number without its unit.",
         "`sensor.rows` must be a whole number; got 'many'.",
     ]
 

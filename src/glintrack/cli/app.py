@@ -1,6 +1,7 @@
 """The ``glintrack`` program: its commands by name, each loaded from its module when it is called."""
 
 import os
+import re
 import signal
 import sys
 import warnings
@@ -9,9 +10,11 @@ from typing import Annotated
 
 import typer
 import typer.core
+from pydantic import ValidationError
 from rich.console import Console
 
 from glintrack.cli.options import STYLE, open_console, option, print_readings
+from glintrack.core.designs import describe_value
 from glintrack.core.installation import VERSION
 from glintrack.core.numba_cache import set_cache_folder
 from glintrack.io.cache import cache_folder
@@ -40,6 +43,7 @@ COMMANDS = {
     "warm-up": "Compile all kernels of a simulation, once after an installation.",
 }
 _MODULES = {"view": "report", "video": "report", "warm-up": "run"}  # others have their own
+_UNIT = re.compile(r"\[([^\]:,]{1,8})[\],]")  # in the help of an option, such as [m]
 _INTERRUPTED = 130  # exit code that typer makes of Ctrl-C
 
 
@@ -146,9 +150,14 @@ def _describe(error: Exception) -> str:
         return plain(error)
     if not hasattr(error, "format_message"):  # no error of the command line's parser
         raise error
-    context = getattr(error, "ctx", None)
+    context, option = getattr(error, "ctx", None), getattr(error, "param", None)
+    said, fault = error.format_message(), error.__cause__  # pyright: ignore
+    if option is not None and isinstance(fault, ValidationError):
+        kind, unit = fault.errors()[0]["type"], _UNIT.search(option.help or "")
+        if kind != "value_error":  # a number
+            said = describe_value(fault.errors()[0], max(option.opts, key=len), unit[1] if unit else "")
     path = context.command_path if context is not None else "glintrack"
-    return f"{plain(error.format_message()).rstrip('.')} (see `{path} --help`)"  # pyright: ignore
+    return f"{plain(said).rstrip('.')} (see `{path} --help`)"
 
 
 _default_format = warnings.formatwarning

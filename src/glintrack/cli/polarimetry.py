@@ -35,7 +35,7 @@ def polarimetry(
     calibration: Annotated[Path | None, option("NetCDF file: analyser (y, x, stokes), dark (y, x)")] = None,
     dark_noise: Annotated[float, option("RMS noise in the dark [count]; masks DoLP", "--dark-noise")] = 1.0,
     saturated: Annotated[float, option("Share of saturated elements above which a raw is refused")] = 0.05,
-    rate_hz: Annotated[float | None, option("Frame rate [Hz], for times of the frames", "--rate")] = None,
+    rate_hz: Annotated[float | None, option("Frame rate [Hz]", "--rate", min=0.001, max=1e6)] = None,
 ) -> None:
     """Measure polarization in raw mosaics of a camera: Stokes vectors, DoLP and AoP.
 
@@ -52,8 +52,6 @@ def polarimetry(
         "max_saturated": saturated,
     }
     design = validate_design(RawDesign, values)
-    if rate_hz is not None and not 0 < rate_hz <= 1e6:
-        raise ValueError(f"`rate` must be greater than 0 and at most 1e6 Hz; got {rate_hz:g}.")
     analysers = None if calibration is None else read_analysers(calibration)
     files, console = raw_files(raw), open_console()
     folder = atomic.ResultFolder(output)

@@ -66,17 +66,13 @@ def score(
     tracks: Annotated[Path, argument("CSV file of tracks: time_s, track_id, east_m, north_m, …")],
     truth: Annotated[Path, argument("CSV file of truth: time_s, vehicle_id, east_m, north_m, …")],
     area: Annotated[Area | None, option("West, south, east, north of the scored area [m]")] = None,
-    match_m: Annotated[float, option("Largest distance from a vehicle [m]", "--match-m")] = MATCH_DISTANCE_M,
+    match_m: Annotated[float, option("Matching distance [m]", "--match-m", min=0.01)] = MATCH_DISTANCE_M,
     moving_m_s: Annotated[
-        float, option("Smallest speed to be tracked [m/s]", "--moving-m-s")
+        float, option("Smallest speed to be tracked [m/s]", "--moving-m-s", min=0)
     ] = MOVING_SPEED_M_S,
     output: Annotated[Path | None, option("JSON file to write the scores to", "--json")] = None,
 ) -> None:
     """Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more."""
-    if not match_m > 0:
-        raise ValueError(f"`match-m` must be greater than 0 m; got {match_m:g}.")
-    if not moving_m_s >= 0:
-        raise ValueError(f"`moving-m-s` must be 0 m/s or more; got {moving_m_s:g}.")
     if output is not None:
         check_output(output, ".json", option="json")
     rows, known = read_tracks(tracks), read_truth(truth)

@@ -106,8 +106,6 @@ def run(
                 slots = 1 if in_process else workers or pool.threads
         _print_plan(console, mine, folder, frame_cache, slots)
         return
-    if memory is not None and not memory <= _MAX_GB:  # nan
-        raise ValueError(f"`--memory` must be at most {_MAX_GB:g} GB; got {memory:g}.")
     limit = None if memory is None else int(memory * 1e9)
     if scheduler:
         started = dask(scheduler, workers, limit)

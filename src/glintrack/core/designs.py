@@ -16,7 +16,7 @@ from typing import Any, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 from pydantic_core import PydanticKnownError
 
-from glintrack.core.units import decimal_comma_hint, unit_of
+from glintrack.core.units import number_hint, unit_of
 
 Model = TypeVar("Model", bound=BaseModel)
 MAX_DEPTH = 64  # of nested tables, and of dotted keys
@@ -34,7 +34,7 @@ _REQUIREMENTS = {
     **dict.fromkeys(("tuple_type", "list_type"), "a list"),
     **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
     **dict.fromkeys(("float_type", "float_parsing"), "a number"),
-    **dict.fromkeys(("int_type", "int_parsing"), "a whole number"),
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "a whole number"),
 }  # of pydantic's kinds of errors
 _COUNT = re.compile(r"(?:Tuple|List) should have (.+) after validation, not \d+")
 _CHOICE = re.compile(r"`[^`]+` must be (?:one of )?(?P<known>.+); got '(?P<got>[^']{1,60})'\.")
@@ -239,16 +239,23 @@ def _sentence(error, model: type[BaseModel]) -> str:
             tables.pop()
         has_key = not message.startswith("`") or (path and message.startswith(f"`{path[0]}."))
         return message if has_key or not tables else f"`{'.'.join(tables)}.{message[1:]}"
+    key = ".".join(str(part) for part in _key_path(model, path))
+    return describe_value(error, key, unit_of(str(path[-1])) if path else "")
+
+
+def describe_value(error, key: str, unit: str) -> str:
+    """Describe a value that a key or an option cannot have: requirement with its unit, value, remedy."""
+    kind, value = error["type"], error["input"]
+    is_limit = kind.startswith(("greater_than", "less_than"))
+    got = _shorten(str(value) if is_limit else repr(value))
     requirement = _REQUIREMENTS.get(kind) or _COUNT.sub(
-        r"a list of \1", message.removeprefix("Input should be ")
+        r"a list of \1", error["msg"].removeprefix("Input should be ")
     )
-    key, got = ".".join(str(part) for part in _key_path(model, path)), _shorten(repr(error["input"]))
-    if path and (unit := unit_of(str(path[-1]))):
-        if kind.startswith(("greater_than", "less_than")):
-            requirement, got = f"{requirement} {unit}", f"{got} {unit}"
-        elif kind.startswith(("float_", "int_")):
-            requirement = f"{requirement} in {unit}"
-    return f"`{key}` must be {requirement}; got {got}.{decimal_comma_hint(error['input'])}"
+    if unit and is_limit:
+        requirement, got = f"{requirement} {unit}", f"{got} {unit}"
+    elif unit and kind.startswith(("float_", "int_")):
+        requirement = f"{requirement} in {unit}"
+    return f"`{key}` must be {requirement}; got {got}.{number_hint(value)}"
 
 
 def _shorten(text: str, length: int = 100) -> str:

@@ -3,7 +3,8 @@
 import math
 import re
 
-_DECIMAL_COMMA = re.compile(r"\s*([-+]?\d+),(\d+)\s*")
+_COMMA = re.compile(r"([-+]?\d+),(\d+)(?![\d.,])")
+_WITH_UNIT = re.compile(r"[-+]?\d[\d.,]*\s*(?!e[-+]?\d+$)(?:[^\W\d_]\S{0,9}|[°%])", re.IGNORECASE)
 
 _UNITS = {
     "_m_s2": "m/s²",
@@ -44,10 +45,13 @@ def format_duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def decimal_comma_hint(value: object) -> str:
-    """Remedy for a number with a decimal comma, such as " Write 3.45, with a point."; else empty."""
-    found = _DECIMAL_COMMA.fullmatch(value) if isinstance(value, str) else None
-    return f" Write {found[1]}.{found[2]}, with a point." if found else ""
+def number_hint(value: object) -> str:
+    """Remedy for a number with a comma or a unit, such as " Write 3.45, with a point."; else empty."""
+    text, hint = value.strip() if isinstance(value, str) else "", ""
+    if found := _COMMA.match(text):
+        thousands = f"{found[1]}{found[2]} or " if len(found[2]) == 3 else ""
+        hint = f" Write {thousands}{found[1]}.{found[2]}, with a point."
+    return f"{hint} Write the number without its unit." if _WITH_UNIT.fullmatch(text) else hint
 
 
 def format_number(value: float, digits: int = 3) -> str:

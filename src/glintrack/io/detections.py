@@ -13,7 +13,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.units import decimal_comma_hint
+from glintrack.core.units import number_hint
 from glintrack.io.tables import read_csv
 from glintrack.io.times import check_steps
 from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M
@@ -250,7 +250,7 @@ def _numbers(table: pd.DataFrame, path: Path, columns: tuple[str, ...]) -> Float
         words = np.flatnonzero(np.isnan(numbers) & table[column].notna().to_numpy())
         if words.size:
             row = int(words[0])
-            found, remedy = _shorten(repr(cell := table[column].iloc[row])), decimal_comma_hint(cell)
+            found, remedy = _shorten(repr(cell := table[column].iloc[row])), number_hint(cell)
             raise ValueError(f"`{column}` must hold numbers; got {found} in row {row + 2} of {path}.{remedy}")
         out[:, k] = numbers
     return out

@@ -10,10 +10,10 @@ import tomli_w
 from pydantic import BaseModel
 
 from glintrack.core.designs import MAX_DEPTH
-from glintrack.core.units import decimal_comma_hint
+from glintrack.core.units import number_hint
 from glintrack.io.untrusted import plain, read_text
 
-_DECIMAL_COMMA = re.compile(r"^\s*([\w.]+)\s*=\s*([-+]?\d+,\d+)\s*(?:#.*)?$", re.MULTILINE)
+_NUMBER = re.compile(r"^[ \t]*([\w.]+)[ \t]*=[ \t]*([-+]?\d[^\s#]*(?: [^\s#]+)?)[ \t]*(?:#|$)", re.MULTILINE)
 _MAX_BYTES = 2_000_000  # a study that lists 50,000 cases is smaller
 
 
@@ -29,8 +29,8 @@ def read_toml(path: str | Path, name: str) -> dict[str, Any]:
     try:
         values = tomllib.loads(text)
     except ValueError as error:  # of numbers of more than 4300 digits too, which are no fault of the format
-        found = _DECIMAL_COMMA.search(text)
-        remedy = f" The line is {found[1]} = {found[2]}.{decimal_comma_hint(found[2])}" if found else ""
+        found = next((line for line in _NUMBER.finditer(text) if number_hint(line[2])), None)
+        remedy = f" The line is {found[1]} = {found[2]}.{number_hint(found[2])}" if found else ""
         raise ValueError(f"`{name}` must be valid TOML; got {path}: {plain(error, 200)}.{remedy}") from error
     except RecursionError as error:
         raise ValueError(f"`{name}` must be valid TOML; got {path}, nested too deeply.") from error

@@ -16,6 +16,7 @@ from scipy.special import stdtrit
 
 from glintrack.core.designs import suggest_name
 from glintrack.core.schema import MIN_SCORED_S
+from glintrack.core.units import number_hint
 from glintrack.metrics.summary import summarize
 from glintrack.metrics.tracks import EpochScore
 
@@ -110,7 +111,8 @@ def read_requirement(text: str) -> Requirement:
     except ValueError:
         limit = math.nan
     if not math.isfinite(limit):
-        raise ValueError(f"`--require` must give a finite limit; got {parts['limit'][:80]!r}.")
+        got = parts["limit"][:80]
+        raise ValueError(f"`--require` must give a finite limit; got {got!r}.{number_hint(got)}")
     if parts["score"] in SHARES and not 0 <= limit <= 1:
         raise ValueError(f"`--require` must give a share from 0 to 1 for {parts['score']}; got {limit:g}.")
     channel = parts["channel"] and parts["channel"].lower()  # tables say DoLP
