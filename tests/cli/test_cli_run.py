@@ -66,23 +66,21 @@ def test_where_output_is_a_file_a_line_comes_at_intervals(monkeypatch):
 
     def wait_for(line):
         deadline = time.monotonic() + 30
-        while line not in lines.getvalue().splitlines():
+        while not any(found.startswith(line) for found in lines.getvalue().splitlines()):
             assert time.monotonic() < deadline, lines.getvalue()
             time.sleep(0.005)
 
     with Bar(Console(file=lines)) as bar:
         task = bar.add_task("flight", total=4, left="")
         with step("building the city"), step("running SUMO"):
-            wait_for("flight: running SUMO, after 10 s")
+            wait_for("flight: running SUMO, after 0 s")
         with step("solving the sky") as report:
             report(0.34)
-            wait_for("flight: solving the sky, 34 %, after 10 s")
+            wait_for("flight: solving the sky, 34 %, after 0 s")
         bar.update(task, advance=1, left="3 s left")
-        wait_for("flight, 25 %, 3 s left")
-        time.sleep(0.2)  # nothing changes
+        wait_for("flight, 25 %, 3 s left, after ")
         assert list(bar.track(range(2), description="drawing")) == [0, 1]
     assert lines.getvalue().splitlines()[0] == "flight"
-    assert lines.getvalue().splitlines().count("flight, 25 %, 3 s left") == 1
 
 
 def test_what_ends_soon_prints_no_line():

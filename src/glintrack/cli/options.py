@@ -14,7 +14,6 @@ from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColum
 from rich.table import Table
 
 from glintrack.core.progress import listen
-from glintrack.core.units import format_duration
 from glintrack.io.readings import Reading
 from glintrack.io.untrusted import plain
 
@@ -105,7 +104,7 @@ def print_readings(console: Console, readings: Iterable[Reading]) -> None:
 
 
 class Bar(Progress):
-    """Progress bar on a terminal; elsewhere a line every `LINE_S` seconds if it has changed.
+    """Progress bar on a terminal; elsewhere a line every `LINE_S` seconds.
 
     Steps of the library (`core.progress.step`) follow the description of the last task.
 
@@ -121,7 +120,7 @@ class Bar(Progress):
         shown = columns or (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
         super().__init__(*shown, console=console, transient=transient, disable=not console.is_terminal)
         self._described: dict[TaskID, str] = {}
-        self._step, self._line = "", ""
+        self._step = ""
         self._stopped, self._exit = threading.Event(), ExitStack()
 
     def start(self) -> None:
@@ -145,7 +144,6 @@ class Bar(Progress):
         self._described[task_id] = description
         if self.disable and announce:
             self.console.print(description, markup=False, soft_wrap=True)
-            self._line = description
         return task_id
 
     def update(self, task_id: TaskID, **changes: Any) -> None:
@@ -165,12 +163,9 @@ class Bar(Progress):
             for task in self.tasks[-1:]:
                 done = f"{100 * task.completed / task.total:.0f} %" if task.total and task.completed else ""
                 counted = f"{task.completed:.0f} done" if task.completed and not task.total else ""
-                spent = "" if done else f"after {format_duration(task.elapsed or 0.0)}"
+                spent = f"after {task.elapsed or 0.0:.0f} s"
                 texts = (task.description, done, counted, task.fields.get("left"), spent)
-                line = ", ".join(filter(None, texts))
-                if line != self._line:
-                    self.console.print(line, markup=False, soft_wrap=True)
-                self._line = line
+                self.console.print(", ".join(filter(None, texts)), markup=False, soft_wrap=True)
 
 
 @contextmanager
