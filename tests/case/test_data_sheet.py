@@ -1,15 +1,17 @@
 """A case from a data sheet: a camera of 3.45 µm is neither blurred over ten elements nor filled to 2 %."""
 
+import re
 import sys
 import tomllib
 
 import numpy as np
 import pytest
 
-from glintrack.case.data_sheet import DataSheet, case_text
+from glintrack.case.data_sheet import assumptions, case_text
 from glintrack.case.design import Case
 from glintrack.case.quantities import light_quantities
 from glintrack.cli import app
+from glintrack.core.designs import keys_of
 from glintrack.sensor.sensor import build_sensor
 from glintrack.sensor.wavefront import modulation_transfer
 
@@ -25,8 +27,14 @@ CAMERA = {
 OPTIONS = "--pixels 2048x2048 --pitch 3.45 --focal-length 100 --altitude 2000 --off-nadir 30 --rate 5".split()
 
 
+FLIGHT_KEYS = ("altitude_m", "off_nadir_deg", "rate_hz")
+SENSOR_KEYS = ("columns", "rows", "pitch_um", "focal_length_mm", "f_number")
+
+
 def case_of(**changes):
-    text = case_text(DataSheet(**{**CAMERA, **changes}), "mine")
+    of = {**CAMERA, **changes}
+    flight, camera = ({key: of.pop(key) for key in keys if key in of} for keys in (FLIGHT_KEYS, SENSOR_KEYS))
+    text = case_text("mine", flight, camera, **of)
     return text, Case.model_validate({"name": "mine", **tomllib.loads(text)})
 
 
@@ -59,8 +67,16 @@ def test_a_detector_and_a_lens_of_the_catalogue():
     assert (sensor.columns, sensor.rows, sensor.pitch_um, sensor.focal_length_mm) == (2464, 2056, 3.45, 100)
     assert sensor.layout == "0-45-90-135" and sensor.full_well_e == 10_500 and sensor.bits == 12
     assert "Balluff" in text and "assumed" in text
-    _, other = case_of(detector="imx250mzr", **{**none, "pitch_um": 2.4, "focal_length_mm": 50.0})
-    assert other.sensor.full_well_e < 6000  # no value of another pitch
+
+
+def test_the_file_says_what_is_assumed_and_which_key_changes_it():
+    text, case = case_of()
+    for words in ("43.16", "2010-07-15", "sun 50° high", "azimuth 251°", "0.4 to 1 µm", "polarizers: none"):
+        assert words in text, words
+    keys = {key.name for _, keys in keys_of(Case) for key in keys}
+    for line in assumptions(case):
+        assert keys.issuperset(set(re.findall(r"`([^`]+)`", line)) - {"--polarizers"}), line
+    assert "straight down" in case_of(off_nadir_deg=0.0)[0]
 
 
 @pytest.mark.parametrize(
@@ -68,11 +84,18 @@ def test_a_detector_and_a_lens_of_the_catalogue():
     [
         ({"pitch_um": None}, "`--pitch` must be given where there is no --sensor"),
         ({"focal_length_mm": None}, "`--focal-length` must be given where there is no --lens"),
-        ({"lens": "pi-6"}, "`--lens` must have an image circle of the array's 9.99 mm at least; got 8 mm"),
-        ({"lens": "ef-100", "f_number": 1.4}, "`--f-number` must be at least the lens's 2; got 1.4"),
+        (
+            {"lens": "pi-6", "focal_length_mm": None},
+            "`--lens` must have an image circle of the array's 9.99 mm at least; got 8 mm",
+        ),
+        (
+            {"lens": "ef-100", "focal_length_mm": None, "f_number": 1.4},
+            "`--f-number` must be at least the lens's 2; got 1.4",
+        ),
+        ({"detector": "imx250mzr"}, "`--sensor` must be given without --pixels; got both"),
         (
             {"detector": "imx250mzr", "polarizers": "none"},
-            "`--polarizers` must be 2x2, as on the detector array",
+            "`--polarizers` must be left out: imx250mzr has its own; got none",
         ),
         ({"detector": "imx253mzr", "rate_hz": 60.0}, "`--rate` must be at most the array's 15 Hz; got 60"),
         ({"rows": 2047, "polarizers": "2x2"}, "`sensor.rows` must be even"),

@@ -63,10 +63,10 @@ def test_exposure_makes_good_what_takes_light():
 
 
 def test_the_laws_give_a_camera_as_sold():
-    """The packaged IMX250MZR, whose values are those of a manual, from pitch, F-number and mosaic alone."""
+    """The packaged IMX250MZR, of measurements by EMVA 1288, from pitch, F-number and mosaic alone."""
     sold, own = SensorDesign(ready="imx250mzr"), SensorDesign(**CAMERA, quantum_efficiency="silicon")
-    assert own.full_well_e == pytest.approx(sold.full_well_e, rel=0.01)
-    assert own.integration_time_ms == pytest.approx(sold.integration_time_ms, rel=0.05)
+    assert own.full_well_e == pytest.approx(sold.full_well_e, rel=0.05)
+    assert own.integration_time_ms == pytest.approx(sold.integration_time_ms, rel=0.1)
     assert own.spot_sigma_um == pytest.approx(sold.spot_sigma_um, rel=0.25)
 
 
@@ -74,13 +74,12 @@ def test_a_change_derives_anew_and_a_stated_value_stays():
     stated = SensorDesign(full_well_e=5000.0)
     finer = stated.replace({"pitch_um": 8.5})
     assert finer.full_well_e == 5000.0 and finer.read_noise_e == 10.0
-    assert {value.key for value in derived_values(finer)} == ORIGINS.keys() - {"full_well_e"}
-    lines = [str(value) for value in derived_values(finer)]
-    assert any(line.startswith("sensor.read_noise_e = 10 e: ") for line in lines)
+    assert derived_values(finer).keys() == ORIGINS.keys() - {"full_well_e"}
+    assert derived_values(finer)["read_noise_e"].startswith("sensor.read_noise_e = 10 e: ")
 
 
 def test_a_ready_design_keeps_no_value_of_another_pitch():
-    assert derived_values(SensorDesign(ready="imx250mzr")) == ()
+    assert derived_values(SensorDesign(ready="imx250mzr")) == {}
     finer = SensorDesign(ready="imx250mzr", pitch_um=2.4, read_noise_e=1.7)
     assert finer.full_well_e == pytest.approx(5322, abs=1) and finer.read_noise_e == 1.7
     again = validate_design(SensorDesign, finer.explicit_values())

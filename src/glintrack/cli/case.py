@@ -6,8 +6,9 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
+import typer
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
@@ -15,12 +16,13 @@ from rich.text import Text
 
 from glintrack.case.build import check_place
 from glintrack.case.check import Judgement, assess_case
-from glintrack.case.data_sheet import DataSheet, Polarizers, case_text
+from glintrack.case.data_sheet import Polarizers, case_text
 from glintrack.case.design import Case
 from glintrack.case.fitted_range import describe_initiation, tracker_notes
 from glintrack.case.packaged import find_case, list_cases, list_studies
 from glintrack.case.quantities import CITY_SPEED_M_S, fastest_speed_m_s
 from glintrack.cli.options import (
+    EXIT_CODES,
     CaseArgument,
     OutsidePathsOption,
     argument,
@@ -56,7 +58,10 @@ def check(
     as_json: Annotated[bool, option("Print the judgements as JSON", "--json")] = False,
     allow_outside_paths: OutsidePathsOption = False,
 ) -> None:
-    """Validate a case and the files it names, and judge its derived quantities: good, doubtful or bad."""
+    """Validate a case and the files it names, and judge its derived quantities: good, doubtful or bad.
+
+    The exit code is 0 without a bad quantity, 1 with one, and 2 if the case is not valid.
+    """
     path = find_case(case)
     design = Case.from_toml(path, allow_outside_paths)
     flight = design.flight
@@ -72,23 +77,23 @@ def check(
         recording_duration_s, fastest_m_s = city.duration_s, fastest_speed_m_s(city, flight)
     check_recorded(flight, recording_duration_s)
     judgements = assess_case(design, fastest_m_s=fastest_m_s)
+    count = Counter(one.answer for one in judgements)
     if as_json:
         print(json.dumps([one.record() for one in judgements], indent=2, ensure_ascii=False))
-        return
-    console.print(
-        f"{path} is a valid case: {flight.frames} frames at {flight.rate_hz:g} Hz over {design.scene.city}"
-    )
-    print_judgements(console, judgements)
-    console.print(describe_initiation(design))
-    for line in (
-        *(f"derived: {value}" for value in derived_values(design.sensor)),
-        *(f"warning: {note}" for note in tracker_notes(design)),
-    ):
-        console.print(line)
-    count = Counter(one.answer for one in judgements)
-    console.print(", ".join(f"{count[answer]} {answer}" for answer in ("good", "doubtful", "bad")))
+    else:
+        frames = f"{flight.frames} frames at {flight.rate_hz:g} Hz"
+        console.print(f"{path} is a valid case: {frames} over the city {design.scene.city}")
+        print_judgements(console, judgements)
+        for line in (
+            describe_initiation(design),
+            *(f"derived: {value}" for value in derived_values(design.sensor).values()),
+            *(f"warning: {note}" for note in tracker_notes(design)),
+            ", ".join(f"{count[answer]} {answer}" for answer in ("good", "doubtful", "bad")),
+        ):
+            console.print(line)
     if count["bad"]:
         console.print("`glintrack run` simulates this case with --force only")
+        raise typer.Exit(EXIT_CODES["no"])
 
 
 def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
@@ -104,7 +109,7 @@ def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
 def new(
     file: Annotated[Path, argument("Case file to write, .toml; it must not exist")],
     altitude: Annotated[float, option("Height of the lens above the ground [m]")],
-    rate: Annotated[float, option("Frame rate [Hz]")],
+    rate: Annotated[float, option("Frame rate [Hz]", min=0.001, max=1000)],
     pixels: Annotated[str | None, option("Size of the array", metavar="COLUMNSxROWS")] = None,
     pitch: Annotated[float | None, option("Spacing of the elements [µm]")] = None,
     focal_length: Annotated[float | None, option("Focal length [mm]")] = None,
@@ -118,24 +123,20 @@ def new(
     check_output(file, ".toml", option="file")
     if file.exists():
         raise ValueError(f"`file` must not exist yet; got {file}. Choose another name.")
-    size = re.fullmatch(r"(\d{1,6}) ?[x×] ?(\d{1,6})", pixels or "1x1")
+    size = re.fullmatch(r"(\d{1,6}) ?[x×X*] ?(\d{1,6})", pixels or "1x1")
     if size is None:
         raise ValueError(f"`--pixels` must be COLUMNSxROWS, as 2048x2048; got {pixels}.")
-    pairs = (
-        (sensor, "--sensor", {"--pixels": pixels, "--pitch": pitch}),
-        (lens, "--lens", {"--focal-length": focal_length}),
-    )
-    for named, option_name, others in pairs:
-        both = [other for other, value in others.items() if named and value is not None]
-        if both:
-            raise ValueError(f"`{option_name}` must be given without {both[0]}; got both. Leave one out.")
-    if not 0 < rate <= 1000:
-        raise ValueError(f"`--rate` must be above 0 and at most 1000 Hz; got {rate:g}.")
-    columns, rows = map(int, size.groups()) if pixels else (None, None)
-    array: dict[str, Any] = {"columns": columns, "rows": rows, "pitch_um": pitch, "detector": sensor}
-    optics: dict[str, Any] = {"focal_length_mm": focal_length, "f_number": f_number, "lens": lens}
-    sheet = DataSheet(altitude, off_nadir, rate, polarizers=polarizers, **array, **optics)
-    write_text(file, case_text(sheet, file.stem))
+    flight = {"altitude_m": altitude, "off_nadir_deg": off_nadir, "rate_hz": rate}
+    camera: dict[str, float | None] = {
+        "pitch_um": pitch,
+        "focal_length_mm": focal_length,
+        "f_number": f_number,
+    }
+    if pixels:
+        camera |= {"columns": int(size[1]), "rows": int(size[2])}
+    text = case_text(file.stem, flight, camera, polarizers, sensor, lens)
+    write_text(file, text)
+    print(*(line[2:] for line in text.splitlines()[1:] if line.startswith("# ")), sep="\n")
     print(f"wrote {file}; `glintrack case check {file}` judges it, `glintrack run {file}` simulates it")
 
 

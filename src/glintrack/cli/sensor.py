@@ -36,7 +36,7 @@ from glintrack.sensor import (
     read_lens,
     with_window,
 )
-from glintrack.sensor.catalogue import electrons_of, read_catalogue
+from glintrack.sensor.catalogue import read_catalogue
 from glintrack.sensor.derivation import derived_values
 from glintrack.sensor.ghosts import SILICON
 from glintrack.sensor.sensor import summary
@@ -52,45 +52,51 @@ PrescriptionArgument = Annotated[str, argument("relay, spectrometer, or a TOML f
 @app.command("list")
 def list_designs() -> None:
     """List the packaged sensors, and the real detector arrays and lenses of the catalogue."""
-    rows = []
+    console, rows = open_console(), []
     for name in design_names():
         d = validate_design(SensorDesign, {"ready": name})
-        numbers = (f"{value:g}" for value in (d.pitch_um, d.focal_length_mm, d.f_number))
-        polarizer = d.polarizer if d.has_stokes else "none"
-        rows.append([name, f"{d.columns} × {d.rows}", *numbers, str(d.layout), polarizer])
-    headings = ("name", "elements", "pitch µm", "focal length mm", "F", "superpixel", "polarizer")
-    console = open_console()
+        lens, polarizer = (
+            f"{d.focal_length_mm:g} mm F/{d.f_number:g}",
+            d.polarizer if d.has_stokes else "none",
+        )
+        rows.append([name, f"{d.columns}×{d.rows}", f"{d.pitch_um:g}", lens, str(d.layout), polarizer])
+    headings = ("name", "elements", "pitch µm", "lens", "superpixel", "polarizer")
     console.print(make_table("packaged sensors", headings, rows, left=len(headings)))
     rows = []
     for item in read_catalogue("detectors").values():
-        electrons, figures = electrons_of(item), item.figures
-        mark = " assumed" if "assumed" in item.sources.values() else ""
-        cells = (f"{electrons[k]:,g}{mark}" if k in electrons else "derived" for k in _ELECTRONS)
+        figures, marks = item.figures, {key: "*" * (page == "assumed") for key, page in item.sources.items()}
+        cells = (f"{figures[k]:,g}{marks[k]}" if k in figures else "derived" for k in _ELECTRONS)
         size = f"{figures['columns']} × {figures['rows']}"
         rows.append([item.name, item.title, size, f"{figures['pitch_um']:g}", *cells])
-    headings = ("--sensor", "detector", "elements", "pitch µm", "full well e", "read noise e")
-    console.print(make_table("detectors for glintrack case new", headings, rows, left=3))
+    headings = ("--sensor", "detector", "elements", "pitch µm", "well e", "noise e")
+    title = "detectors for glintrack case new, with full well and read noise (* assumed)"
+    console.print(make_table(title, headings, rows, left=3))
     lenses = read_catalogue("lenses").values()
     rows = [[item.name, item.title, *(f"{item.figures[key]:g}" for key in _LENS_FIGURES)] for item in lenses]
-    headings = ("--lens", "lens", "focal length mm", "smallest F", "image circle mm")
-    console.print(make_table("lenses for glintrack case new", headings, rows, left=2))
+    headings = ("--lens", "lens", "focal mm", "smallest F", "circle mm")
+    title = "lenses for glintrack case new, with the diameter of the image circle"
+    console.print(make_table(title, headings, rows, left=2))
 
 
 @app.command()
 def show(
-    design: Annotated[str, argument("Packaged sensor, or a TOML file with a [sensor] table")],
+    design: Annotated[str, argument("Name of `glintrack sensor list`, or a TOML file with a [sensor] table")],
     mtf: Annotated[Path | None, option("Figure of the MTF to write, .png")] = None,
 ) -> None:
     """Print derived quantities of a sensor, and judge them in the light of the packaged case quickstart."""
-    found = read_table(SensorDesign, design, "sensor", "ready", design_names())
+    arrays = read_catalogue("detectors")
+    found = read_table(SensorDesign, design, "sensor", "ready", {*design_names(), *arrays})
     if mtf is not None:
         check_output(mtf, ".png", option="--mtf")
     longest = max(found.band_um[1], found.spectrometer_um[1])
     sensor = build_sensor(found, wavelength_grid(0.4, max(math.ceil(longest * 100 - 1e-6) / 100, 0.5)))
     console = open_console()
     console.print(make_table("sensor", (), summary(sensor)))
-    for value in derived_values(found):
-        console.print(f"derived: {value}")
+    if found.ready in arrays:
+        for key, value in arrays[found.ready].figures.items():
+            console.print(f"catalogue: sensor.{key} = {value}: {arrays[found.ready].source(key)}")
+    for line in derived_values(found).values():
+        console.print(f"derived: {line}")
     judged = assess_case(Case().model_copy(update={"sensor": found}), ("sensor",))
     print_judgements(console, [one for one in judged if one.name != "car_contrast"])  # which needs a flight
     if mtf is not None:
@@ -137,7 +143,7 @@ def list_ghosts(
     coating: Annotated[float | None, option("Reflectance of its faces [default: uncoated]")] = None,
     detector: Annotated[float, option("Reflectance of the detector array")] = SILICON,
     imaged: Annotated[float, option("Reflectance of the object plane", "--object")] = 0.0,
-    pitch_um: Annotated[float, option("Pitch of the elements for comparison [µm]")] = 17.0,
+    pitch_um: Annotated[float, option("Pitch of the elements [µm]", min=0.01, max=1e6)] = 17.0,
 ) -> None:
     """List the ghosts of a lens: paths of two reflections, their light and size at the image."""
     for name, value in (("--coating", coating or 0.0), ("--detector", detector), ("--object", imaged)):
@@ -146,8 +152,6 @@ def list_ghosts(
     design, console = read_lens(prescription), open_console()
     if not 0 <= field < len(design.fields_mm):
         raise ValueError(f"`--field` must be 0 to {len(design.fields_mm) - 1}; got {field}.")
-    if not 0 < pitch_um <= 1e6:
-        raise ValueError(f"`--pitch-um` must be above 0 and at most 1e6; got {pitch_um:g}.")
     if window_mm:
         design = with_window(design, window_mm, gap_mm, reflectance=coating)
     with show_wait(console, "tracing"):

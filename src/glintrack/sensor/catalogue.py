@@ -4,36 +4,52 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from typing import Any, Literal
 
 from glintrack.core.designs import suggest_name
 
+Kind = Literal["detectors", "lenses"]
 _FOLDER = resources.files("glintrack") / "data" / "catalogue"
 
 
 @dataclass(frozen=True)
 class CatalogueItem:
-    """A detector array or a lens: figures as read, and the page of each, or "assumed"."""
+    """A detector array or a lens: its figures as keys of ``[sensor]``, and the page of each, or "assumed".
+
+    A lens has its smallest F-number, and its ``image_circle_mm``.
+    """
 
     name: str
     title: str
     figures: Mapping[str, Any]
     sources: Mapping[str, str]
 
+    def source(self, figure: str) -> str:
+        """Name of the page of a figure, without its address; or "assumed"."""
+        return self.sources[figure].split(", http")[0]
 
-def read_catalogue(kind: Literal["detectors", "lenses"]) -> dict[str, CatalogueItem]:
+
+@cache
+def read_catalogue(kind: Kind) -> Mapping[str, CatalogueItem]:
     """Read the detector arrays or the lenses, by name."""
     tables = tomllib.loads((_FOLDER / f"{kind}.toml").read_text(encoding="utf-8"))
-    pages, items = tables.pop("pages"), {}
+    pages, assumed, items = tables.pop("pages"), tables.pop("assumed", {}), {}
     for name, row in tables.items():
-        read, assumed, title = row.pop("read"), row.pop("assumed", ()), row.pop("title")
+        read, title = row.pop("read"), row.pop("title")
         sources = {figure: pages[page] for page, figures in read.items() for figure in figures}
-        items[name] = CatalogueItem(name, title, row, sources | dict.fromkeys(assumed, "assumed"))
+        if "snr_max_db" in row:
+            electrons = _electrons(row.pop("snr_max_db"), row.pop("dynamic_range_db"))
+            sources |= dict.fromkeys(electrons, sources.pop("snr_max_db", "assumed"))
+            sources.pop("dynamic_range_db", None)
+            row |= electrons
+        row = assumed | row
+        items[name] = CatalogueItem(name, title, row, dict.fromkeys(row, "assumed") | sources)
     return items
 
 
-def find_item(kind: Literal["detectors", "lenses"], name: str) -> CatalogueItem:
+def find_item(kind: Kind, name: str) -> CatalogueItem:
     """Find a detector array or a lens by name; a ValueError suggests the most similar one."""
     items, option = read_catalogue(kind), "--lens" if kind == "lenses" else "--sensor"
     if name not in items:
@@ -42,8 +58,8 @@ def find_item(kind: Literal["detectors", "lenses"], name: str) -> CatalogueItem:
     return items[name]
 
 
-def electrons_of(item: CatalogueItem) -> dict[str, float]:
-    """Full well and read noise of a detector array, if they are known. [e]
+def _electrons(snr_max_db: float, dynamic_range_db: float) -> dict[str, float]:
+    """Full well and read noise of a detector array. [e]
 
     By EMVA 1288 the signal-to-noise ratio at saturation is the root of the full well. The dynamic range is
     the full well over the threshold √(σ² + 1/4) + 1/2 of the dark noise σ.
@@ -52,10 +68,7 @@ def electrons_of(item: CatalogueItem) -> dict[str, float]:
     ----------
     EMVA Standard 1288, Release 3.1 (2016), Section 2.
     """
-    figures = item.figures
-    if "snr_max_db" not in figures:
-        return {key: figures[key] for key in ("full_well_e", "read_noise_e") if key in figures}
-    full_well_e = 10 ** (figures["snr_max_db"] / 10)
-    threshold_e = full_well_e / 10 ** (figures["dynamic_range_db"] / 20)
+    full_well_e = 10 ** (snr_max_db / 10)
+    threshold_e = full_well_e / 10 ** (dynamic_range_db / 20)
     noise_e = math.sqrt(max((threshold_e - 0.5) ** 2 - 0.25, 0.0))
     return {"full_well_e": float(f"{full_well_e:.3g}"), "read_noise_e": float(f"{noise_e:.3g}")}

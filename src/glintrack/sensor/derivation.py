@@ -6,7 +6,6 @@ so that sensor keeps its values and another pitch, F-number or band gets its own
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from typing import Any
@@ -36,23 +35,14 @@ ORIGINS = {
 }
 
 
-@dataclass(frozen=True)
-class DerivedValue:
-    """Value of a key of ``[sensor]`` that a design leaves out, and the law that gives it."""
-
-    key: str
-    value: float
-    origin: str
-
-    def __str__(self) -> str:
-        """Key, value and law as one line of text."""
-        return f"sensor.{self.key} = {float(f'{self.value:.3g}'):,g} {unit_of(self.key)}: {self.origin}"
-
-
-def derived_values(design: Design) -> tuple[DerivedValue, ...]:
-    """Values of a sensor's design that neither the case nor its ready design states."""
-    stated = design.model_fields_set
-    return tuple(DerivedValue(k, getattr(design, k), o) for k, o in ORIGINS.items() if k not in stated)
+def derived_values(design: Design) -> dict[str, str]:
+    """Describe value and law of each key of ``[sensor]`` that neither a case nor its ready design states."""
+    values = {key: float(f"{getattr(design, key):.3g}") for key in ORIGINS}
+    return {
+        key: f"sensor.{key} = {values[key]:,g} {unit_of(key)}: {law}"
+        for key, law in ORIGINS.items()
+        if key not in design.model_fields_set
+    }
 
 
 def spot_sigma(known: Mapping[str, Any]) -> float:

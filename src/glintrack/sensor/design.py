@@ -15,6 +15,7 @@ from glintrack.core.distortion import Distortion
 from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, check_band
 from glintrack.io.untrusted import resolve_path
 from glintrack.sensor import derivation as derive
+from glintrack.sensor.catalogue import read_catalogue
 from glintrack.sensor.layouts import MIRROR, Demosaicker, Superpixel, check_demosaicker, places, superpixel
 
 _FOLDER = resources.files("glintrack") / "data" / "sensors"
@@ -336,13 +337,19 @@ def design_names() -> list[str]:
 
 
 def design_keys(name: str) -> dict[str, Any]:
-    """Keys of a ready design; its file names the source of each value.
+    """Keys of a ready design, or of a detector array of the catalogue; their files name the sources.
 
     Raises
     ------
     ValueError
         If there is none of that name.
     """
-    if name not in design_names():
-        raise ValueError(f"`sensor.ready` must be one of {', '.join(design_names())}; got {name!r}.")
-    return tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
+    packaged, arrays = design_names(), read_catalogue("detectors")
+    if name not in (*packaged, *arrays):
+        raise ValueError(
+            f"`sensor.ready` must be one of {', '.join(packaged)}, or a detector of "
+            f"`glintrack sensor list`; got {name!r}."
+        )
+    array = dict(arrays[name].figures) if name in arrays else {}
+    text = (_FOLDER / f"{name}.toml").read_text(encoding="utf-8") if name in packaged else ""
+    return array | tomllib.loads(text)

@@ -288,6 +288,7 @@ def summary(sensor: Sensor) -> list[tuple[str, str]]:
     kernel = sensor.kernels[0]
     node = kernel.strength.shape[0] // 2
     rows = [
+        ("lens", f"{design.focal_length_mm:g} mm F/{design.f_number:g}"),
         ("field of view", " × ".join(f"{angle:.2f}°" for angle in design.field_of_view_deg)),
         ("electrons per W m⁻² sr⁻¹ µm⁻¹", f"{reading:.1f}"),
         ("radiance that fills the well", f"{full:.1f} W m⁻² sr⁻¹ µm⁻¹"),
