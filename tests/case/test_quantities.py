@@ -91,7 +91,7 @@ def test_a_gaussian_spot_has_its_own_width():
 def test_steps_of_city_traffic(case, step):
     """Displacement a frame over a spacing of 13.9 m/s × 0.7 s + 4.5 m = 14.23 m."""
     found = motion_quantities(case)
-    assert MIN_HEADWAY_S == 0.7 and found["step_share"] == pytest.approx(step, rel=2e-3)
+    assert MIN_HEADWAY_S == 0.7 and found["displacement_share"] == pytest.approx(step, rel=2e-3)
     assert found["vehicle_blur_m"] == pytest.approx(13.9 * 0.5e-3)
     shortest_m = min(view_quantities(case)[f"footprint_{name}_m"] for name in ("across", "along"))
     assert found["vehicle_dwell_s"] == pytest.approx(shortest_m / 13.9)

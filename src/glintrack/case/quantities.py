@@ -205,7 +205,7 @@ def motion_quantities(case: Case, fastest_m_s: float = CITY_SPEED_M_S) -> dict[s
     narrow_m, in_view_s = min(ground_view(case)[1]), math.inf
     found = {
         "vehicle_blur_m": fastest_m_s * exposure_s,
-        "step_share": fastest_m_s / flight.rate_hz / (fastest_m_s * MIN_HEADWAY_S + CAR_M[0]),
+        "displacement_share": fastest_m_s / flight.rate_hz / (fastest_m_s * MIN_HEADWAY_S + CAR_M[0]),
         "speed_share": fastest_m_s / case.track.detect.max_speed_m_s,
         "duration_s": (flight.frames - 1) / flight.rate_hz,
     }

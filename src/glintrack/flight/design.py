@@ -1,5 +1,6 @@
 """The ``[flight]`` table of a case: the path, the gimbal, and when the shutter opens."""
 
+import math
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -9,6 +10,7 @@ from glintrack.core.designs import Design
 from glintrack.io.untrusted import resolve_path
 
 MAX_ALTITUDE_M = 20_000.0
+_EARTH_GM, _EARTH_RADIUS_M = 3.986004e14, 6.371e6  # m³ s⁻² (IERS 2010), and the mean radius
 
 
 class FlightDesign(Design):
@@ -59,11 +61,14 @@ class FlightDesign(Design):
     @classmethod
     def _refuse_orbits(cls, value: Any) -> Any:
         """Say what to do about an altitude that only satellites have."""
-        if isinstance(value, (int, float)) and MAX_ALTITUDE_M < value < 1e9:
+        if isinstance(value, (int, float)) and MAX_ALTITUDE_M < value < 1e8:
+            scale, radius_m = 10_000 / value, _EARTH_RADIUS_M + value
+            ground_m_s = math.sqrt(_EARTH_GM / radius_m) * _EARTH_RADIUS_M / radius_m
             raise ValueError(
-                f"`flight.altitude_m` must be at most {MAX_ALTITUDE_M:,.0f} m, since satellites are outside "
-                f"the model's range; got {value:,.0f} m. To approximate the view, fly at 10,000 m with "
-                f"`sensor.focal_length_mm` × {10_000 / value:.3g} for the same sample distance."
+                f"`flight.altitude_m` must be at most {MAX_ALTITUDE_M:,.0f} m; got {value:,.0f} m. "
+                "Orbits are outside the model's range. To approximate a satellite with the same sampling and "
+                f"change of view, fly at 10,000 m with `sensor.focal_length_mm` × {scale:.3g}, `flight.kind` "
+                f"= 'straight' and `flight.speed_m_s` = {ground_m_s * scale:.3g} (docs/howto/my_camera.md)."
             )
         return value
 
