@@ -64,7 +64,7 @@ def test_a_table_gives_its_rows_back(tmp_path):
     [
         ("wavelength_um,n\n0.5,1\n0.6,1\n", "must have columns wavelength_um and n and k; got no k"),
         ("wavelength_um,n,k\n0.5,1,x\n0.6,1,1\n", "must hold numbers; got .*'x'"),
-        ("wavelength_um,n,k\n0.6,1,1\n0.5,1,1\n", "rising"),
+        ("wavelength_um,n,k\n0.6,1,1\n0.6,1,1\n", "rising"),
         ("wavelength_um,n,k\n0.5,1,-1\n0.6,1,1\n", "k within 0 to"),
         ("wavelength_um,n,k\n0.5,1,nan\n0.6,1,1\n", "k within 0 to"),
     ],

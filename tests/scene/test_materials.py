@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from glintrack.core import schema
-from glintrack.scene.materials import MaterialDesign, choose_paints, load_materials, read_spectrum
+from glintrack.io.spectra import read_spectra
+from glintrack.scene.materials import MaterialDesign, choose_paints, load_materials
 
 SPECTRA = sorted(
     (p for p in (resources.files("glintrack") / "data" / "spectra").iterdir() if p.name.endswith(".csv")),
@@ -49,24 +50,12 @@ def test_panels_are_level_lambertian(percent):
 
 def test_paints_take_the_light_from_below_the_clear_coat():
     path = next(p for p in SPECTRA if p.name == "carpaint_black_synthetic.csv")
-    wavelength, body = read_spectrum(path, "body")
-    _, whole = read_spectrum(path, "reflectance")
+    wavelength, body, whole = read_spectra(
+        path, "spectrum", {"body": (0, 1), "reflectance": (0, 1)}, fill=True
+    ).values()
     black = load_materials()["reflectance"].sel(material="paint_black").values
     np.testing.assert_allclose(black, body)
     assert (whole - body > 0.03).all() and wavelength.size == 211  # the mirror part is left to Fresnel
-
-
-def test_blank_ends_hold_the_nearest_measured_value(tmp_path):
-    path = tmp_path / "s.csv"
-    path.write_text("# h\nwavelength_um,reflectance\n0.4,\n0.5,0.1\n0.6,\n0.7,0.3\n0.8,\n")
-    assert read_spectrum(path)[1].tolist() == pytest.approx([0.1, 0.1, 0.2, 0.3, 0.3])
-
-
-def test_spectrum_without_its_column_is_refused(tmp_path):
-    path = tmp_path / "s.csv"
-    path.write_text("wavelength_um,other\n0.4,1\n")
-    with pytest.raises(ValueError, match=r"`s.csv` must have columns wavelength_um and reflectance"):
-        read_spectrum(path)
 
 
 def test_material_needs_exactly_one_base():

@@ -42,10 +42,10 @@ def test_a_material_comes_after_the_librarys(tmp_path):
     [
         (
             {"values": (10, 30, 30)},
-            "`lilac` must have a reflectance within 0 to 1; got 30 .*Divide percent by 100",
+            "`lilac.csv` must have reflectance within 0 to 1; got 10 .*Divide percent by 100",
         ),
-        ({"values": (0.1, -0.2, 0.3)}, "`lilac` must have a reflectance within 0 to 1; got -0.2"),
-        ({"values": (0.1, "x", 0.3)}, "`lilac.csv` must hold numbers"),
+        ({"values": (0.1, -0.2, 0.3)}, "`lilac.csv` must have reflectance within 0 to 1; got -0.2"),
+        ({"values": (0.1, "x", 0.3)}, "`reflectance` must hold numbers; got 'x' in row 3 of .*lilac.csv"),
         ({"last_um": 1.0}, "lilac.csv"),
         (
             {"text": LILAC.replace("lilac.csv", "gone.csv")},

@@ -105,7 +105,11 @@ def write(path, text):
             "wavelength_um,efficiency\n0.4,0.5\n1,1.5\n",
             "must have efficiency within 0 to 1; got 1.5 at 1 µm",
         ),
-        ("response", "wavelength_um,response\n1,0.5\n0.4,0.5\n", "rising wavelengths; got 1 before 0.4"),
+        (
+            "response",
+            "wavelength_um,response\n1,0.5\n0.4,0.5\n0.5,0.5\n",
+            "rising or falling wavelengths; got 0.5 beside 0.4",
+        ),
         ("reference_spectrum", "wavelength_um,radiance\n0.4,0\n1,0\n", "must have light in the pan band"),
     ],
 )

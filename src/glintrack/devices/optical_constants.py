@@ -6,24 +6,23 @@ model.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 from scipy.constants import c, e, epsilon_0, h
 
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
-from glintrack.io.tables import read_csv
+from glintrack.io.spectra import read_spectra
 
 MetalName = Literal["aluminium", "silver", "gold"]
 PAPER_ALUMINIUM_S_PER_M = 35.6e6  # Presnar et al. (2010), §3.1
-MAX_INDEX = 1e4  # of n and k: aluminium reaches 200 at 30 µm
+_MAX_INDEX = 1e4  # of n and k: aluminium reaches 200 at 30 µm
 _EV_UM = h * c / e * 1e6  # photon energy [eV] times wavelength [µm]
 
 
@@ -121,7 +120,7 @@ def permittivity(metal: MetalDesign, wavelength_um: ArrayLike) -> Complex[Array,
         omega = 2 * math.pi * c / (wavelength_um * 1e-6)
         return 1 + 1j * metal.conductivity_s_per_m / (omega * epsilon_0)
     if metal.table is not None:
-        table = read_spectra(metal.table, "metal.table", {"n": MAX_INDEX, "k": MAX_INDEX})
+        table = read_spectra(metal.table, "metal.table", dict.fromkeys("nk", (0.0, _MAX_INDEX)))
         table_um = table["wavelength_um"]
         _check_range(wavelength_um, (table_um[0], table_um[-1]), metal.table.name)
         n, k = (np.interp(wavelength_um, table_um, table[name]) for name in ("n", "k"))
@@ -136,57 +135,6 @@ def permittivity(metal: MetalDesign, wavelength_um: ArrayLike) -> Complex[Array,
     ):
         eps = eps + strength * model.plasma_ev**2 / (frequency**2 - energy**2 - 1j * energy * damping)
     return eps
-
-
-def read_spectra(
-    path: str | Path, key: str, limits: Mapping[str, float]
-) -> dict[str, Float[Array, "wavelength"]]:
-    """Read spectra from a CSV with a column ``wavelength_um``; lines that start with ``#`` are a header.
-
-    Parameters
-    ----------
-    path, key
-        The file, and its key in errors.
-    limits
-        Other columns, and the largest value of each; the smallest is 0.
-
-    Returns
-    -------
-    Columns by name, wavelengths rising. [µm]
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be read, a column is missing, a cell is not a number, wavelengths do not rise, or
-        a value lies outside its limits.
-    """
-    table = read_csv(path, key, types=str)
-    if missing := {"wavelength_um", *limits} - set(table):
-        raise ValueError(
-            f"`{key}` must have columns wavelength_um and {' and '.join(limits)}; got no "
-            f"{' and no '.join(sorted(missing))} among {', '.join(map(str, table)) or 'none'} in {path}."
-        )
-    try:
-        found = {name: np.array([float(v) for v in table[name]]) for name in ("wavelength_um", *limits)}
-    except ValueError as error:
-        raise ValueError(f"`{key}` must hold numbers; got {error} in {path}.") from error
-    um = found["wavelength_um"]
-    if len(um) < 2:
-        raise ValueError(f"`{key}` must have at least 2 rows; got {len(um)} in {path}.")
-    falls = np.flatnonzero(~(np.diff(um) > 0))
-    if len(falls):
-        before, after = um[falls[0]], um[falls[0] + 1]
-        raise ValueError(
-            f"`{key}` must have rising wavelengths; got {before:g} before {after:g} µm in {path}."
-        )
-    for name, largest in limits.items():
-        outside = np.flatnonzero(~((found[name] >= 0) & (found[name] <= largest)))
-        if len(outside):
-            worst, at_um = found[name][outside[0]], um[outside[0]]
-            raise ValueError(
-                f"`{key}` must have {name} within 0 to {largest:g}; got {worst:g} at {at_um:g} µm in {path}."
-            )
-    return found
 
 
 def _check_range(wavelength_um: Array, limits_um: tuple[float, float], what: str) -> None:

@@ -20,7 +20,7 @@ from glintrack.camera import Pose, from_yaw_pitch_roll, rotation
 from glintrack.core.arrays import Array
 from glintrack.io.crs import change_crs, check_not_exchanged
 from glintrack.io.readings import report_reading
-from glintrack.io.tables import read_csv
+from glintrack.io.tables import finite_numbers, read_csv
 from glintrack.io.untrusted import plain, read_text
 
 _MIN_STEP_M = 1e-6
@@ -168,37 +168,24 @@ def _read_csv(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
     name, table = path.name, read_csv(path, "waypoint_file", types=str)
     header = [] if table.empty else list(table.columns)
     places = [names for names in (ENU, GEOGRAPHIC) if set(names) <= set(header)]
-    known = {*ENU, *GEOGRAPHIC, *ATTITUDE, "time_s", "order"}
-    unknown = [key for key in header if key not in known]
+    unknown = set(header) - {*sum(places, ()), *ATTITUDE, "time_s", "order"}
     if len(places) != 1 or unknown:
         raise ValueError(
             f"`waypoint_file` must have the columns {', '.join(ENU)} or {', '.join(GEOGRAPHIC)}, and may "
             f"have time_s, {', '.join(ATTITUDE)}, order; got {', '.join(header) or 'none'} in {name}."
         )
-
-    def columns(names) -> Array:
-        try:
-            values = table[list(names)].map(float).to_numpy()
-        except ValueError as error:
-            raise ValueError(
-                f"`waypoint_file` must hold numbers under {', '.join(names)}; got {error} in {name}."
-            ) from error
-        if not np.isfinite(values).all():
-            raise ValueError(
-                f"`waypoint_file` must hold finite numbers under {', '.join(names)}; got {name}."
-            )
-        return values
-
-    place = columns(places[0]) if places[0] is ENU else to_enu(columns(GEOGRAPHIC), datum_m)
+    place = finite_numbers(table, path, places[0])
+    place = place if places[0] is ENU else to_enu(place, datum_m)
     attitude = [key for key in ATTITUDE if key in header]
     if attitude and len(attitude) < len(ATTITUDE):
         raise ValueError(f"`waypoint_file` must give all of {', '.join(ATTITUDE)} or none; got {attitude}.")
-    time_s = columns(("time_s",))[:, 0] if "time_s" in header else None
-    report_reading(path, "points", len(place), len(place))
+    time_s = finite_numbers(table, path, ("time_s",))[:, 0] if "time_s" in header else None
+    report_reading(path, "points", len(place), len(place), notes=[f"columns {', '.join(header)}"])
     if not attitude:
         return Waypoints(place, time_s)
     orders = sorted({str(one).strip() for one in table["order"]}) if "order" in header else []
-    return Waypoints(place, time_s, _in_our_order(np.radians(columns(ATTITUDE)), orders, name))
+    angles_rad = np.radians(finite_numbers(table, path, ATTITUDE))
+    return Waypoints(place, time_s, _in_our_order(angles_rad, orders, name))
 
 
 def _in_our_order(angles_rad: Float[Array, "point 3"], orders: list[str], name: str) -> Array:

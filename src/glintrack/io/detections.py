@@ -13,10 +13,9 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.units import number_hint
-from glintrack.io.tables import read_csv
+from glintrack.io.tables import finite_numbers, numbers, read_csv
 from glintrack.io.times import check_steps
-from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M
+from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M, plain
 
 POSITION = ("east_m", "north_m")
 COVARIANCE = ("east_var_m2", "north_var_m2", "east_north_cov_m2")
@@ -24,7 +23,7 @@ COVARIANCE = ("east_var_m2", "north_var_m2", "east_north_cov_m2")
 NO_FEATURE = ("track_id", "vehicle_id", "truth_id", "id", "frame", "label", "class")
 MAX_SPEED_M_S = 1e6
 MAX_TIME_S = 1e11  # three thousand years, so that seconds since 1970 fit
-_MAX_TEXT = 200  # of columns and cells in a message
+_MAX_TEXT = 200  # of columns in a message
 _WRONG_COLUMN = 0.2  # share of rows in which time decreases, above which it may be another column
 _OTHER_NAMES = {
     "time_s": ("t", "time", "timestamp", "t_s", "seconds"),
@@ -107,9 +106,9 @@ def read_detections(
     others = [c for c in table.columns if c not in ("time_s", *POSITION, *COVARIANCE, *NO_FEATURE)]
     names = tuple(others) if feature_names is None else feature_names
     if missing := [n for n in names if n not in table.columns]:
-        known = _shorten(", ".join(map(str, table.columns)))
+        known = plain(", ".join(map(str, table.columns)), _MAX_TEXT)
         raise ValueError(f"`features` must name columns of {path}; got {missing[0]!r}. It has {known}.")
-    features = _numbers(table, path, names)
+    features = numbers(table, path, names)
     features[~np.isfinite(features)] = np.nan
     return DetectionTable(time_s, position, _covariance(table, path, sigma_m), features, names)
 
@@ -127,13 +126,13 @@ def read_truth(path: Path) -> xr.Dataset:
     """
     rows, table = _read_rows(path, "truth", "vehicle_id")
     if "visible_fraction" in table:
-        visible = _finite_numbers(table, path, ("visible_fraction",))[:, 0]
+        visible = finite_numbers(table, path, ("visible_fraction",))[:, 0]
         if visible.size and (visible.min() < 0 or visible.max() > 1):
             span = f"{visible.min():g} to {visible.max():g}"
             raise ValueError(f"`visible_fraction` must lie within 0 to 1; got {span} in {path}.")
         rows = rows.assign(visible_fraction=("row", visible))
     if "inside" in table:
-        inside = _finite_numbers(table, path, ("inside",))[:, 0]
+        inside = finite_numbers(table, path, ("inside",))[:, 0]
         if not np.isin(inside, (0, 1)).all():
             raise ValueError(f"`inside` must hold 0 or 1; got others in {path}.")
         rows = rows.assign(inside=("row", inside > 0))
@@ -159,7 +158,7 @@ def _read_rows(path: Path, name: str, id_column: str) -> tuple[xr.Dataset, pd.Da
         )
     speeds = ("east_speed_m_s", "north_speed_m_s")
     if all(c in table for c in speeds):
-        velocity = _finite_numbers(table, path, speeds)
+        velocity = finite_numbers(table, path, speeds)
     else:
         velocity = np.zeros_like(position)
         order = np.lexsort((time_s, ids))
@@ -188,7 +187,7 @@ def _identities(table: pd.DataFrame, path: Path, column: str) -> Float[Array, "r
     """Identities as numbers; where one is a text, they are numbered in the order in which they appear."""
     given = pd.Series(table[column])
     if pd.api.types.is_numeric_dtype(given) or given.isna().any():
-        return _finite_numbers(table, path, (column,))[:, 0]
+        return finite_numbers(table, path, (column,))[:, 0]
     return pd.factorize(given.astype(str).str.strip())[0].astype(float)
 
 
@@ -198,7 +197,7 @@ def _read_columns(path: Path, name: str, required: tuple[str, ...]) -> pd.DataFr
         present = [str(c) for c in table.columns]
         raise ValueError(
             f"`{name}` must have the columns {', '.join(required)}; got no {', '.join(missing)} in {path}. "
-            f"It has {_shorten(', '.join(present))}.{_column_remedy(missing, present)}"
+            f"It has {plain(', '.join(present), _MAX_TEXT)}.{_column_remedy(missing, present)}"
         )
     return table
 
@@ -219,15 +218,11 @@ def _column_remedy(missing: Sequence[str], present: Sequence[str]) -> str:
     return f" Rename {', '.join(f'{own} to {want}' for want, own in known.items())}." if known else ""
 
 
-def _shorten(text: str) -> str:
-    return text if len(text) <= _MAX_TEXT else f"{text[: _MAX_TEXT - 1]}…"
-
-
 def _times_and_positions(
     table: pd.DataFrame, path: Path
 ) -> tuple[Float[Array, "row"], Float[Array, "row 2"]]:
-    position = _finite_numbers(table, path, POSITION)
-    time_s = _finite_numbers(table, path, ("time_s",))[:, 0]
+    position = finite_numbers(table, path, POSITION)
+    time_s = finite_numbers(table, path, ("time_s",))[:, 0]
     if np.abs(time_s).max(initial=0) > MAX_TIME_S:
         raise ValueError(f"`time_s` must be seconds within ±{MAX_TIME_S:g}; got others in {path}.")
     check_steps(time_s, "time_s", path)
@@ -240,32 +235,6 @@ def _times_and_positions(
     return time_s, position
 
 
-def _numbers(table: pd.DataFrame, path: Path, columns: tuple[str, ...]) -> Float[Array, "row column"]:
-    out = np.empty((len(table), len(columns)))
-    for k, column in enumerate(columns):
-        try:
-            numbers = np.asarray(pd.to_numeric(table[column], errors="coerce"), dtype=float)
-        except (OverflowError, TypeError) as error:
-            raise ValueError(f"`{column}` must hold numbers that fit; got {error} in {path}.") from error
-        words = np.flatnonzero(np.isnan(numbers) & table[column].notna().to_numpy())
-        if words.size:
-            row = int(words[0])
-            found, remedy = _shorten(repr(cell := table[column].iloc[row])), number_hint(cell)
-            raise ValueError(f"`{column}` must hold numbers; got {found} in row {row + 2} of {path}.{remedy}")
-        out[:, k] = numbers
-    return out
-
-
-def _finite_numbers(table: pd.DataFrame, path: Path, columns: tuple[str, ...]) -> Float[Array, "row column"]:
-    out = _numbers(table, path, columns)
-    for row, column in np.argwhere(~np.isfinite(out))[:1]:
-        raise ValueError(
-            f"`{columns[column]}` must be finite; got {out[row, column]:g} in row {row + 2} of {path}. "
-            f"Leave the row out."
-        )
-    return out
-
-
 def _covariance(table: pd.DataFrame, path: Path, sigma_m: float) -> Float[Array, "row 2 2"]:
     present = [c for c in COVARIANCE if c in table.columns]
     out = np.zeros((len(table), 2, 2))
@@ -275,9 +244,9 @@ def _covariance(table: pd.DataFrame, path: Path, sigma_m: float) -> Float[Array,
     if missing := [c for c in COVARIANCE[:2] if c not in present]:
         both = " and ".join(COVARIANCE[:2])
         raise ValueError(f"`{present[0]}` must come with {both}; got no {missing[0]} in {path}.")
-    out[:, 0, 0], out[:, 1, 1] = _finite_numbers(table, path, COVARIANCE[:2]).T
+    out[:, 0, 0], out[:, 1, 1] = finite_numbers(table, path, COVARIANCE[:2]).T
     if COVARIANCE[2] in present:
-        out[:, 0, 1] = out[:, 1, 0] = _finite_numbers(table, path, COVARIANCE[2:])[:, 0]
+        out[:, 0, 1] = out[:, 1, 0] = finite_numbers(table, path, COVARIANCE[2:])[:, 0]
     bad = np.flatnonzero(~((out[:, 0, 0] > 0) & (np.linalg.det(out) > 0))) if len(out) else np.empty(0, int)
     if bad.size:
         raise ValueError(

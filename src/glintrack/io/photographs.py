@@ -251,6 +251,7 @@ def _read_row(path: Path, frame_name: str) -> dict[str, str | float]:
     mine = table[table["name"].isin((frame_name, Path(frame_name).stem))]
     if len(mine) != 1:
         raise ValueError(f"`pose` must have one row named {frame_name}; got {len(mine)} in {path.name}.")
+    report_reading(path, "poses", len(table), 1, {"of other frames": len(table) - 1})
     cells = {str(key): str(value).strip() for key, value in mine.iloc[0].items()}
     values: dict[str, str | float] = {key: cell for key, cell in cells.items() if key != "name" and cell}
     for key in values:

@@ -1,4 +1,4 @@
-"""Read CSV tables, and write CSV and Parquet tables."""
+"""Read CSV tables and their numbers, and write CSV and Parquet tables."""
 
 import codecs
 import contextlib
@@ -10,15 +10,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet
 import xarray as xr
+from jaxtyping import Float
 
+from glintrack.core.arrays import Array
+from glintrack.core.units import number_hint
 from glintrack.io.atomic import write_bytes
 from glintrack.io.untrusted import MAX_TEXT_BYTES, check_file, open_unzipped, plain
 
 _MAX_COLUMNS, _MAX_ROW_BYTES = 5000, 10_000_000  # of a table; of its first row that are read
+_MAX_CELL = 200  # characters of a cell in a message
 _COMMENT = re.compile(rb"^[ \t]*#[^\n]*\n?", re.MULTILINE)
 
 
@@ -93,6 +98,35 @@ def read_csv(
         raise ValueError(f"`{name}` must be a CSV file in UTF-8; got {path}: {reason}.") from error
     table.columns = [str(column).strip() for column in table.columns]
     return table.fillna("") if types is str else table
+
+
+def numbers(table: pd.DataFrame, path: Path, columns: Sequence[str]) -> Float[Array, "row column"]:
+    """Return columns of a table as numbers, NaN where empty; a ValueError names the cell that is none."""
+    out = np.empty((len(table), len(columns)))
+    for k, column in enumerate(columns):
+        try:
+            out[:, k] = pd.to_numeric(table[column], errors="coerce")
+        except (OverflowError, TypeError) as error:
+            raise ValueError(f"`{column}` must hold numbers that fit; got {error} in {path}.") from error
+        words = np.flatnonzero(np.isnan(out[:, k]) & table[column].notna().to_numpy())
+        if words.size:
+            cell = table[column].iloc[row := int(words[0])]
+            raise ValueError(
+                f"`{column}` must hold numbers; got {plain(repr(cell), _MAX_CELL)} in row {row + 2} of "
+                f"{path}.{number_hint(cell)}"
+            )
+    return out
+
+
+def finite_numbers(table: pd.DataFrame, path: Path, columns: Sequence[str]) -> Float[Array, "row column"]:
+    """Return columns of a table as `numbers`, and refuse those that are missing or infinite."""
+    out = numbers(table, path, columns)
+    for row, column in np.argwhere(~np.isfinite(out))[:1]:
+        raise ValueError(
+            f"`{columns[column]}` must be finite; got {out[row, column]:g} in row {row + 2} of {path}. "
+            f"Leave the row out."
+        )
+    return out
 
 
 def write_table(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:

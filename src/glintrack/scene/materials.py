@@ -15,7 +15,6 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from functools import lru_cache, partial
 from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -29,13 +28,13 @@ from glintrack.core import schema, spectral
 from glintrack.core.arrays import Array
 from glintrack.core.colour import SRGB_FROM_XYZ, encode_srgb
 from glintrack.core.designs import Design, validate_design
-from glintrack.io.tables import read_csv
+from glintrack.io.spectra import read_spectra
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file, resolve_path
 
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
-_MAX_INDEX = 100.0
+_LIMITS = {"n": (1e-3, 100.0), "k": (0.0, 100.0)}  # of columns that hold no share of the light
 MAX_POLARIZED_REFLECTANCE = 0.0085  # of `polarized_base` = 1
 MAX_POLARIZED_SHARE = 0.8  # of the light of a base; refraction polarizes it too
 _Share = Annotated[float, Field(ge=0, le=1)]
@@ -87,35 +86,6 @@ class MaterialDesign(Design):
                 "a material must get its transmittance_column from its file, and no leaf_absorptance"
             )
         return self
-
-
-def read_spectrum(
-    path: Traversable | Path, column: str = "reflectance"
-) -> tuple[Float[Array, "wavelength"], Float[Array, "wavelength"]]:
-    """Read one column of a spectrum file with ``#`` header lines and a column ``wavelength_um``.
-
-    Returns
-    -------
-    Wavelengths [µm] and values [1]; blank ends get the nearest value, blanks between are interpolated.
-    """
-    table = read_csv(Path(str(path)), path.name, types=str)
-    if table.empty or column not in table or "wavelength_um" not in table:
-        came = "no rows" if table.empty else sorted(table.columns)
-        raise ValueError(f"`{path.name}` must have columns wavelength_um and {column}; got {came}.")
-    try:
-        wavelength = np.array([float(value) for value in table["wavelength_um"]])
-        values = np.array([float(value) if value.strip() else np.nan for value in table[column]])
-    except ValueError as error:
-        raise ValueError(f"`{path.name}` must hold numbers; got {error}.") from error
-    if not (np.isfinite(wavelength).all() and np.all(np.diff(wavelength) > 0)):
-        raise ValueError(f"`{path.name}` must have finite, rising wavelengths; got some that are not.")
-    known = np.isfinite(values)
-    if not known.any():
-        raise ValueError(f"`{path.name}` must hold measured values in column {column}; got none.")
-    return wavelength, np.interp(wavelength, wavelength[known], values[known])
-
-
-_read_packaged = lru_cache(maxsize=128)(read_spectrum)  # several materials share a file
 
 
 @lru_cache(maxsize=2)
@@ -287,27 +257,26 @@ def _optical_constants(
     name, read = design.optical_constants_file, partial(_read_user_spectrum, folder=folder)
     if name is None:
         name, read = design.optical_constants, partial(_read_packaged_spectrum, key="optical_constants")
-    both = np.stack([read(str(name), column, wavelength) for column in ("n", "k")])
-    if both[0].min() <= 0 or both[1].min() < 0 or both.max() > _MAX_INDEX:
-        raise ValueError(
-            f"`{name}` must have n above 0 and k of at least 0, neither above {_MAX_INDEX:g}; got "
-            f"{both.min():g} to {both.max():g}."
-        )
-    return both
+    return np.stack([read(str(name), column, wavelength) for column in ("n", "k")])
 
 
 def _read_user_spectrum(name: str, column: str, wavelength: Array, folder: Path | None) -> Array:
     place = folder or Path()
     if not resolve_path(place / name).is_relative_to(resolve_path(place)) or not is_file(place / name):
         raise ValueError(f"`{name}` must be a file in the materials file's folder or below; got none there.")
-    return spectral.resample(wavelength, *read_spectrum(place / name, column), name)
+    return _read_column(place / name, column, wavelength)
 
 
 def _read_packaged_spectrum(name: str, column: str, wavelength: Array, key: str) -> Array:
-    path = resources.files("glintrack") / "data" / "spectra" / f"{name}.csv"
+    path = Path(str(resources.files("glintrack") / "data" / "spectra" / f"{name}.csv"))
     if not (name.isidentifier() and len(name) <= 100 and path.is_file()):  # no path to another folder
         raise ValueError(f"`{key}` must be one of the packaged spectra; got {name!r}.")
-    return spectral.resample(wavelength, *_read_packaged(path, column), name)
+    return _read_column(path, column, wavelength)
+
+
+def _read_column(path: Path, column: str, wavelength: Array) -> Array:
+    spectra = read_spectra(path, path.name, {column: _LIMITS.get(column, (0.0, 1.0))}, fill=True)
+    return spectral.resample(wavelength, spectra["wavelength_um"], spectra[column], path.name)
 
 
 def _base(name: str, design: MaterialDesign, folder: Path | None, wavelength: Array) -> Array:
@@ -320,14 +289,6 @@ def _base(name: str, design: MaterialDesign, folder: Path | None, wavelength: Ar
         base = np.zeros(wavelength.size)
         for part, weight in (design.mix or {str(design.spectrum): 1.0}).items():
             base += weight * _read_packaged_spectrum(part, design.column, wavelength, "spectrum")
-    wrong = np.flatnonzero(~((base >= 0) & (base <= 1)))
-    if wrong.size:
-        k = wrong[np.argmax(np.abs(base[wrong] - 0.5))]
-        remedy = " Divide percent by 100." if base[k] > 1 else ""
-        raise ValueError(
-            f"`{name}` must have a reflectance within 0 to 1; got {base[k]:.4g} at "
-            f"{wavelength[k]:.3g} µm.{remedy}"
-        )
     darkest = float(base.min())
     highest = MAX_POLARIZED_SHARE * darkest / MAX_POLARIZED_REFLECTANCE
     if design.polarized_base > highest:

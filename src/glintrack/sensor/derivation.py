@@ -17,7 +17,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
 from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM
 from glintrack.core.units import unit_of
-from glintrack.devices.optical_constants import read_spectra
+from glintrack.io.spectra import read_spectra
 from glintrack.sensor.layouts import LAYOUTS
 
 SILICON = str(resources.files("glintrack") / "data" / "sensors" / "silicon.csv")
@@ -103,7 +103,7 @@ def _relative_signal(band_um: tuple[float, float], efficiency: float | str) -> f
     photons = grid * am15g_light(grid)
     part = np.full(len(grid), efficiency if not isinstance(efficiency, str) else 0.0)
     if isinstance(efficiency, str):
-        table = read_spectra(SILICON, "sensor.quantum_efficiency", {"efficiency": 1.0})
+        table = read_spectra(SILICON, "sensor.quantum_efficiency", {"efficiency": (0.0, 1.0)})
         part = np.interp(grid, table["wavelength_um"], table["efficiency"], right=0.0)
     own, default = (
         (first - 1e-9 <= grid) & (grid <= last + 1e-9) for first, last in (band_um, DEFAULT_BAND_UM)

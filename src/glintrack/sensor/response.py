@@ -13,7 +13,7 @@ from scipy.constants import c, h
 
 from glintrack.core.arrays import Array
 from glintrack.core.spectral import band_response, channel_weights, quadrature_weights, resample
-from glintrack.devices.optical_constants import read_spectra
+from glintrack.io.spectra import read_spectra
 from glintrack.sensor.derivation import SILICON, am15g_light
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
@@ -161,5 +161,6 @@ def _curve(name: str, column: str, wavelength_um: Array, key: str) -> Array:
     """Read a curve from a CSV file onto the grid."""
     if not Path(name).suffix:
         raise ValueError(f"`{key}` must be a known name or a CSV file (NAME.csv); got {name!r}.")
-    table = read_spectra(name, key, {column: np.finfo(float).max if column == "radiance" else 1.0})
+    limits = 0.0, np.finfo(float).max if column == "radiance" else 1.0
+    table = read_spectra(name, key, {column: limits})
     return resample(wavelength_um, table["wavelength_um"], table[column], key)
