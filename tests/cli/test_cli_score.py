@@ -133,3 +133,23 @@ def test_decimal_commas_are_recognized(files):
     )
     with pytest.raises(ValueError, match=r"`east_m` must hold numbers; got '-150,0' .*Write -150\.0, with"):
         score(folder / "tracks.csv", folder / "truth.csv")
+
+
+def test_motchallenge_text_is_scored_as_its_table(files, monkeypatch, capsys):
+    tracks, folder = files
+    boxes = [
+        f"{t.time_s + 1},{t.track_id},{2 * (t.east_m + 200) - 3},{2 * (500 - t.north_m) - 3},8,8,1,-1,-1,-1"
+        for t in tracks.itertuples()
+    ]
+    (folder / "tracks.txt").write_text("\n".join(boxes))
+    words = ["score", str(folder / "tracks.txt"), str(folder / "truth.csv"), "--rate", "1"]
+    monkeypatch.setattr("sys.argv", ["glintrack", *words, "--geotransform", "-200", "500", "0.5"])
+    with pytest.raises(SystemExit) as end:
+        app.main()
+    said = capsys.readouterr().out
+    assert end.value.code == 0 and "a share of 1 of the moving vehicles is tracked" in said
+    assert "60 boxes" in said and "60 rows" in said and "frame 1 is 0 s; 1 frames a second" in said
+    monkeypatch.setattr("sys.argv", ["glintrack", "score", *[str(folder / "truth.csv")] * 2, "--rate", "1"])
+    with pytest.raises(SystemExit) as end:
+        app.main()
+    assert end.value.code == 2 and "`rate` and `geotransform` must be used with" in capsys.readouterr().err

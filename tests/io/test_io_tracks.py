@@ -7,6 +7,9 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+from glintrack.io.detections import read_detections, read_tracks, read_truth
+from glintrack.io.orthoimages import Geotransform
+from glintrack.io.readings import collect_readings
 from glintrack.io.tracks import (
     BOX_M,
     TRACK_COLUMNS,
@@ -152,3 +155,80 @@ def test_mot_boxes_worked_by_hand(tmp_path, vehicles):
     two_decimals = 0.005
     assert lines[2][4:6] == pytest.approx([wide / 0.5, high / 0.5], abs=two_decimals)
     assert [line[8] for line in lines] == [1, 0.25, 0.5]
+
+
+GRID = Geotransform(*PLACE.north_west_m, PLACE.cell_m)
+RATE_HZ = 2.0
+
+
+def test_motchallenge_text_is_read_back(tmp_path, rows):
+    write_tracks(tmp_path, rows, "t", PLACE)
+    table, path = read_tracks(tmp_path / "t.csv"), tmp_path / "t_mot.txt"
+    for grid, rounding_m in (
+        (None, 5e-4),
+        (GRID, 0.01 * PLACE.cell_m),
+    ):  # its own metres; two digits of a pixel
+        found = read_tracks(path, RATE_HZ, grid)
+        np.testing.assert_array_equal(found["time_s"], table["time_s"])
+        np.testing.assert_array_equal(found["track_id"], table["track_id"] + 1)
+        for axis in ("east_m", "north_m"):
+            np.testing.assert_allclose(found[axis], table[axis], rtol=0, atol=rounding_m)
+    detections = read_detections(path, 0.5, None, RATE_HZ)
+    np.testing.assert_allclose(detections.position[:, 0], [-10, 0, 20])
+    assert detections.feature_names == ()
+
+
+def test_motchallenge_truth_is_read_back_in_metres(tmp_path, rows):
+    size = {"heading_rad": [0.3, 0.3, 1.0], "length_m": [4.5] * 3, "width_m": [1.8] * 3}
+    full = rows.assign({k: ("row", v) for k, v in {**size, "visible_fraction": [1, 0.25, 0.5]}.items()})
+    write_mot_truth(tmp_path / "t.txt", full, AREA_M, PLACE)
+    found = read_truth(tmp_path / "t.txt", RATE_HZ, GRID)
+    np.testing.assert_array_equal(found["time_s"], full["time_s"])
+    np.testing.assert_array_equal(found["visible_fraction"], [1, 0.25, 0.5])
+    for axis in ("east_m", "north_m"):
+        np.testing.assert_allclose(found[axis], full[axis], rtol=0, atol=0.01 * PLACE.cell_m)
+    with pytest.raises(ValueError, match="`geotransform` must be given for boxes in pixels"):
+        read_truth(tmp_path / "t.txt", RATE_HZ)
+
+
+def test_boxes_that_do_not_count_are_left_out(tmp_path):
+    """A flag of 0 and a pedestrian, as in MOT17's ground truth; boxes in the order of their ids."""
+    lines = ["1,1,11,21,10,20,1,3,1", "2,1,12,21,10,20,1,3,0.5", "1,2,0,0,9,9,0,3,1", "1,3,0,0,9,9,1,1,1"]
+    (tmp_path / "gt.txt").write_text("\n".join(lines))
+    with collect_readings() as readings:
+        found = read_truth(tmp_path / "gt.txt", 30.0, Geotransform(1000, 2000, 0.5))
+    assert found["east_m"].values.tolist() == [1007.5, 1008]  # by hand: 1000 + 0.5 (11 - 1 + 10 / 2)
+    assert found["north_m"].values.tolist() == [1985, 1985]
+    assert found["time_s"].values.tolist() == [0, 1 / 30]
+    assert dict(readings[0].left_out) == {"flag 0": 1, "class of no motor vehicle (car 3, motorbike 5)": 1}
+    (tmp_path / "gt.txt").write_text("1,3,0,0,9,9,1,1,1\n")
+    with pytest.raises(ValueError, match="must hold boxes of class 3 or 5"):
+        read_truth(tmp_path / "gt.txt", 30.0, GRID)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "sentence"),
+    [
+        ("1,1,5,5,9,9,1,-1,-1,-1\n2,1,7,5,9,9,1,-1,-1,-1\n", {}, "`rate` must be given for frame numbers"),
+        ("1,1,5,5,9,9,1,-1,-1,-1\n", {"rate_hz": 0.001}, "`rate` must be 0.1 to 1,000 Hz"),
+        ("1,1,5,5,9,9,1,-1,-1,-1\n2,1,7,5,9,9,1,-1,-1,-1\n", {"rate_hz": 5}, "`geotransform` must be given"),
+        ("1,1,5,5,9,9,1,4,0,0\n2,1,7,5,9,9,1,4,1,1\n", {"rate_hz": 5}, "`geotransform` must be given"),
+        ("0,1,5,5,9,9,1\n", {"rate_hz": 5, "grid": GRID}, "frame from 1"),
+        ("1,1,5,5,0,9,1\n", {"rate_hz": 5, "grid": GRID}, "width and height above 0"),
+        ("1,1,5,5\n", {"rate_hz": 5, "grid": GRID}, "must be MOTChallenge text"),
+        ("frame,id\n1,2\n", {"rate_hz": 5, "grid": GRID}, "must be MOTChallenge text of numbers"),
+        ("1,1,5,5,9,9\n1,1,5,5\n", {"rate_hz": 5, "grid": GRID}, "must be MOTChallenge text of numbers"),
+    ],
+)
+def test_other_text_is_refused_with_what_is_missing(tmp_path, text, options, sentence):
+    (tmp_path / "t.txt").write_text(text)
+    with pytest.raises(ValueError, match=sentence):
+        read_tracks(tmp_path / "t.txt", **options)
+
+
+def test_motchallenge_text_called_csv_is_recognized(tmp_path):
+    (tmp_path / "t.csv").write_text("1,1,5,5,9,9,1,-1,-1,-1\n2,1,7,5,9,9,1,-1,-1,-1\n")
+    with pytest.raises(ValueError, match=r"let its name end in .txt"):
+        read_tracks(tmp_path / "t.csv")
+    (tmp_path / "t.txt").write_text("")
+    assert read_tracks(tmp_path / "t.txt", 5.0).sizes["row"] == 0

@@ -23,6 +23,7 @@ STYLE: dict = {
     "rich_markup_mode": "markdown",  # units in brackets, as [m], are markup to "rich" and would vanish
 }
 Area = tuple[float, float, float, float]  # west, south, east, north
+Corner = tuple[float, float, float]  # west and north edge, and size of a pixel
 LINE_S = 10.0  # between two lines of progress where the output is no terminal
 BAR_WIDTH = 10  # characters of a progress bar; with its texts it fits into 80 columns
 EXIT_CODES = {"no": 1, "undecided": 3}  # of a requirement that is not met

@@ -9,10 +9,11 @@ import numpy as np
 import xarray as xr
 from scipy.spatial import KDTree
 
-from glintrack.cli.options import Area, argument, check_output, command_app, open_console, option
+from glintrack.cli.options import Area, Corner, argument, check_output, command_app, open_console, option
 from glintrack.core.schema import MOVING_SPEED_M_S
 from glintrack.io import atomic
 from glintrack.io.detections import read_tracks, read_truth
+from glintrack.io.orthoimages import Geotransform
 from glintrack.metrics import MATCH_DISTANCE_M
 from glintrack.results.run import score as score_files
 
@@ -63,19 +64,26 @@ def _coordinate_hint(tracks: xr.Dataset, truth: xr.Dataset) -> str:
 
 @app.command()
 def score(
-    tracks: Annotated[Path, argument("CSV file of tracks: time_s, track_id, east_m, north_m, …")],
-    truth: Annotated[Path, argument("CSV file of truth: time_s, vehicle_id, east_m, north_m, …")],
+    tracks: Annotated[Path, argument("Tracks, CSV: time_s, track_id, east_m, north_m, …; or MOT .txt")],
+    truth: Annotated[Path, argument("Truth, CSV: time_s, vehicle_id, east_m, north_m, …; or MOT .txt")],
     area: Annotated[Area | None, option("West, south, east, north of the scored area [m]")] = None,
     match_m: Annotated[float, option("Matching distance [m]", "--match-m", min=0.01)] = MATCH_DISTANCE_M,
     moving_m_s: Annotated[
         float, option("Smallest speed to be tracked [m/s]", "--moving-m-s", min=0)
     ] = MOVING_SPEED_M_S,
+    rate_hz: Annotated[float | None, option("Frame rate of MOT .txt [Hz]", "--rate")] = None,
+    geotransform: Annotated[
+        Corner | None, option("West and north edge and pixel size of MOT .txt [m]")
+    ] = None,
     output: Annotated[Path | None, option("JSON file to write the scores to", "--json")] = None,
 ) -> None:
     """Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more."""
     if output is not None:
         check_output(output, ".json", option="json")
-    rows, known = read_tracks(tracks), read_truth(truth)
+    grid = None if geotransform is None else Geotransform(*geotransform)
+    if ".txt" not in (tracks.suffix, truth.suffix) and (rate_hz or grid):
+        raise ValueError("`rate` and `geotransform` must be used with MOT .txt; got two files with times.")
+    rows, known = read_tracks(tracks, rate_hz, grid), read_truth(truth, rate_hz, grid)
     scores = score_files(rows, known, area, match_m, moving_m_s)
     console = open_console()
     if scores["completeness"] <= _MIN_PLAUSIBLE and rows.sizes.get("row"):  # NaN if no vehicle moves

@@ -11,7 +11,7 @@ import xarray as xr
 from rich.console import Console
 
 from glintrack.case.design import over_like
-from glintrack.cli.options import Area, Bar, argument, command_app, open_console, option, show_wait
+from glintrack.cli.options import Area, Bar, Corner, argument, command_app, open_console, option, show_wait
 from glintrack.io import atomic
 from glintrack.io.crs import metric_crs, warn_off_map
 from glintrack.io.detections import DetectionTable, read_detections, read_truth
@@ -40,21 +40,19 @@ _SEVERAL, _SMALL_M = 1.5, 5.0  # detections per time, and the extent below which
 @app.command()
 def track_files(
     source: Annotated[
-        Path, argument("CSV file of detections, folder of frames, .nc or .zarr stack, or video")
+        Path, argument("Detections (CSV, MOT .txt), folder of frames, .nc or .zarr stack, or video")
     ],
     output: Annotated[Path, option(f"New folder for tracks{', tracks'.join(WRITERS)}", "-o", "--output")],
     sigma_m: Annotated[float, option("Standard deviation of positions [m]", "--sigma-m")] = 0.5,
     features: Annotated[str | None, option("Feature columns, with commas, or 'none' [default: all]")] = None,
     area: Annotated[Area | None, option("West, south, east, north of the tracked area [m]")] = None,
     rate_hz: Annotated[float | None, option("Frame rate if frames have no times [Hz]", "--rate")] = None,
-    geotransform: Annotated[
-        tuple[float, float, float] | None, option("West and north edge and pixel size of frames [m]")
-    ] = None,
+    geotransform: Annotated[Corner | None, option("West and north edge and pixel size of frames [m]")] = None,
     crs: Annotated[str | None, option("Projected CRS of the coordinates, such as EPSG:32618")] = None,
     channel: Annotated[str | None, option("Tracking channel: pan, dolp or all [default: pan]")] = None,
     design: Annotated[Path | None, option("TOML file with keys of a case's [track] table")] = None,
     strict: Annotated[bool, option("No coasted positions: fewer, purer tracks", "--strict")] = False,
-    froc_truth: Annotated[Path | None, option("CSV file of truth, to write froc.csv", "--froc")] = None,
+    froc_truth: Annotated[Path | None, option("Truth as for score, to write froc.csv", "--froc")] = None,
 ) -> None:
     """Track your own detections or frames.
 
@@ -65,10 +63,13 @@ def track_files(
     console, swept = open_console(), list[dict[str, float]]()
     changes = {} if design is None else over_like(read_toml(design, "design"))
     changes = _flatten_keys(changes.get("track", changes))
-    if source.suffix.lower() == ".csv":
-        _check_unused("frames", source, channel=channel, rate=rate_hz, geotransform=geotransform)
+    grid = None if geotransform is None else Geotransform(*geotransform)
+    if source.suffix.lower() in (".csv", ".txt"):
+        _check_unused("frames", source, channel=channel)
+        if source.suffix.lower() == ".csv":
+            _check_unused("frames or MOT .txt", source, rate=rate_hz, geotransform=geotransform)
         chosen = None if features is None else tuple(n for n in features.split(",") if n not in ("", "none"))
-        table = read_detections(source, sigma_m, chosen)
+        table = read_detections(source, sigma_m, chosen, rate_hz, grid)
         tracker = DETECTIONS_DESIGN.replace(changes)
         tracker = strict_design(tracker) if strict else tracker
         with show_wait(console, "tracking"):
@@ -83,10 +84,10 @@ def track_files(
         rows, (west, _, _, north) = tracked.rows, tracked.area_m
         place = TrackGeoreference(crs, north_west_m=(west, north), times_s=np.unique(table.time_s).tolist())
         if froc_truth is not None:
-            swept = froc(table, read_truth(froc_truth), FROC_SCORES, tracker, area)
+            swept = froc(table, read_truth(froc_truth, rate_hz, grid), FROC_SCORES, tracker, area)
     else:
         _check_unused("detections", source, froc=froc_truth, features=features, area=area)
-        frames = open_frames(source, rate_hz, None if geotransform is None else Geotransform(*geotransform))
+        frames = open_frames(source, rate_hz, grid)
         if crs is not None and frames.crs is not None and metric_crs(crs) != metric_crs(frames.crs):
             raise ValueError(f"`crs` must be the frames' own, {frames.crs}; got {crs}. Leave --crs out.")
         tracker = frames_design(changes | ({} if channel is None else {"detect.channel": channel}))

@@ -1,8 +1,9 @@
-"""Read detections, tracks and truth from CSV files; each fault is reported in one sentence.
+"""Read detections, tracks and truth from CSV files and MOTChallenge text; a fault is one sentence.
 
 Columns carry their unit in the name.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +14,16 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
+from glintrack.io.orthoimages import Geotransform
+from glintrack.io.readings import report_reading
 from glintrack.io.tables import finite_numbers, numbers, read_csv
 from glintrack.io.times import check_steps
+from glintrack.io.tracks import read_mot
 from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M, plain
 
 POSITION = ("east_m", "north_m")
 COVARIANCE = ("east_var_m2", "north_var_m2", "east_north_cov_m2")
+_SPEEDS = ("east_speed_m_s", "north_speed_m_s")
 # columns that contain the answer, which are never features
 NO_FEATURE = ("track_id", "vehicle_id", "truth_id", "id", "frame", "label", "class")
 MAX_SPEED_M_S = 1e6
@@ -65,9 +70,13 @@ class DetectionTable:
 
 
 def read_detections(
-    path: Path, sigma_m: float = 0.5, feature_names: tuple[str, ...] | None = None
+    path: Path,
+    sigma_m: float = 0.5,
+    feature_names: tuple[str, ...] | None = None,
+    rate_hz: float | None = None,
+    grid: Geotransform | None = None,
 ) -> DetectionTable:
-    """Read detections from a CSV file.
+    """Read detections from a CSV file, or from MOTChallenge text.
 
     Parameters
     ----------
@@ -78,6 +87,8 @@ def read_detections(
         Standard deviation of each coordinate if the file holds no variances. [m]
     feature_names
         Columns to use as features; None for all there are.
+    rate_hz, grid
+        Frame rate [Hz] and position of the pixels of MOTChallenge text, see `io.tracks.read_mot`.
 
     Raises
     ------
@@ -86,7 +97,7 @@ def read_detections(
     """
     if not 0 < sigma_m <= MAX_CELL_M:
         raise ValueError(f"`sigma_m` must be greater than 0 and at most {MAX_CELL_M:g} m; got {sigma_m:g}.")
-    table = _read_columns(path, "detections", ("time_s", *POSITION))
+    table = _read_columns(path, "detections", ("time_s", *POSITION), rate_hz, grid)
     time_s, position = _times_and_positions(table, path)
     fall = np.flatnonzero(np.diff(time_s) < 0)
     if fall.size:
@@ -113,18 +124,21 @@ def read_detections(
     return DetectionTable(time_s, position, _covariance(table, path, sigma_m), features, names)
 
 
-def read_tracks(path: Path) -> xr.Dataset:
-    """Read rows of tracks from a CSV file with at least ``time_s, track_id, east_m, north_m``."""
-    return _read_rows(path, "tracks", "track_id")[0]
+def read_tracks(path: Path, rate_hz: float | None = None, grid: Geotransform | None = None) -> xr.Dataset:
+    """Read rows of tracks from a CSV file with at least ``time_s, track_id, east_m, north_m``.
+
+    For MOTChallenge text (``.txt``) give its frame rate [Hz] and position, see `io.tracks.read_mot`.
+    """
+    return _read_rows(path, "tracks", "track_id", rate_hz, grid)[0]
 
 
-def read_truth(path: Path) -> xr.Dataset:
-    """Read rows of truth from a CSV file with at least ``time_s, vehicle_id, east_m, north_m``.
+def read_truth(path: Path, rate_hz: float | None = None, grid: Geotransform | None = None) -> xr.Dataset:
+    """Read rows of truth as `read_tracks`, with ``vehicle_id``.
 
     Without ``east_speed_m_s`` and ``north_speed_m_s`` the speeds are the differences between a vehicle's own
     positions. Optional columns are ``visible_fraction``, 0 to 1, and ``inside``, 0 or 1.
     """
-    rows, table = _read_rows(path, "truth", "vehicle_id")
+    rows, table = _read_rows(path, "truth", "vehicle_id", rate_hz, grid)
     if "visible_fraction" in table:
         visible = finite_numbers(table, path, ("visible_fraction",))[:, 0]
         if visible.size and (visible.min() < 0 or visible.max() > 1):
@@ -139,9 +153,11 @@ def read_truth(path: Path) -> xr.Dataset:
     return rows
 
 
-def _read_rows(path: Path, name: str, id_column: str) -> tuple[xr.Dataset, pd.DataFrame]:
+def _read_rows(
+    path: Path, name: str, id_column: str, rate_hz: float | None, grid: Geotransform | None
+) -> tuple[xr.Dataset, pd.DataFrame]:
     """Rows with time, id, position and velocity, and the whole table."""
-    table = _read_columns(path, name, ("time_s", id_column, *POSITION))
+    table = _read_columns(path, name, ("time_s", id_column, *POSITION), rate_hz, grid)
     time_s, position = _times_and_positions(table, path)
     ids = _identities(table, path, id_column)
     wrong = (ids != np.rint(ids)) | (ids < 0) | (ids >= 2**53)
@@ -156,9 +172,8 @@ def _read_rows(path: Path, name: str, id_column: str) -> tuple[xr.Dataset, pd.Da
             f"`{id_column}` must appear once in each frame; got {ids[k]:g} again at {time_s[k]:g} s "
             f"in row {k + 2} of {path}."
         )
-    speeds = ("east_speed_m_s", "north_speed_m_s")
-    if all(c in table for c in speeds):
-        velocity = finite_numbers(table, path, speeds)
+    if all(c in table for c in _SPEEDS):
+        velocity = finite_numbers(table, path, _SPEEDS)
     else:
         velocity = np.zeros_like(position)
         order = np.lexsort((time_s, ids))
@@ -172,10 +187,14 @@ def _read_rows(path: Path, name: str, id_column: str) -> tuple[xr.Dataset, pd.Da
             f"`{id_column}` must move by at most {MAX_SPEED_M_S:g} m/s; got {ids[fast][0]:g} faster at "
             f"{time_s[fast][0]:g} s in {path}."
         )
+    known = {"time_s", id_column, *POSITION, *_SPEEDS, *(("visible_fraction", "inside") * (name == "truth"))}
+    notes = [f"{len(np.unique(ids)):,} ids at {len(np.unique(time_s)):,} times"]
+    notes += [f"not used: {plain(', '.join(rest), _MAX_TEXT)}" for rest in [sorted({*table} - known)] if rest]
+    report_reading(path, "rows", len(table), len(ids), notes=notes)
     columns = {"time_s": time_s, id_column: ids.astype(np.int64)}
     columns |= dict(
         zip(
-            ("east_m", "north_m", "east_speed_m_s", "north_speed_m_s"),
+            (*POSITION, *_SPEEDS),
             (*position.T, *velocity.T),
             strict=True,
         )
@@ -191,7 +210,12 @@ def _identities(table: pd.DataFrame, path: Path, column: str) -> Float[Array, "r
     return pd.factorize(given.astype(str).str.strip())[0].astype(float)
 
 
-def _read_columns(path: Path, name: str, required: tuple[str, ...]) -> pd.DataFrame:
+def _read_columns(
+    path: Path, name: str, required: tuple[str, ...], rate_hz: float | None, grid: Geotransform | None
+) -> pd.DataFrame:
+    if path.suffix.lower() == ".txt":
+        table = read_mot(path, name, rate_hz, grid)
+        return table if required[1] in table else table.rename(columns={"id": required[1]})
     table = read_csv(path, name, most_bytes=None)
     if missing := [c for c in required if c not in table.columns]:
         present = [str(c) for c in table.columns]
@@ -204,6 +228,8 @@ def _read_columns(path: Path, name: str, required: tuple[str, ...]) -> pd.DataFr
 
 def _column_remedy(missing: Sequence[str], present: Sequence[str]) -> str:
     """Remedy for columns of other names, other separators, or degrees; may be empty."""
+    if all(re.fullmatch(r"-?\d+(\.\d+)*", name) for name in present):
+        return " Without a header it may be MOTChallenge text: let its name end in .txt."
     if len(present) == 1 and any(sign in present[0] for sign in ";\t|"):
         return " Separate the columns by commas."
     ids = {"track_id", "vehicle_id"}

@@ -1,6 +1,6 @@
-"""Write tracks as files, in every format of `WRITERS`, and paths and boxes of the truth.
+"""Write tracks, and paths and boxes of the truth, as files, and read MOTChallenge text.
 
-A format is a function of the table and of its `TrackGeoreference`, and an entry of `WRITERS`. Runs,
+A format of `WRITERS` is a function of the table and of its `TrackGeoreference`. Runs,
 ``glintrack track``, its help and the tests use all entries.
 """
 
@@ -14,8 +14,13 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from glintrack.core.arrays import Array
 from glintrack.io.atomic import write_bytes, write_text
 from glintrack.io.crs import longitude_latitude
+from glintrack.io.orthoimages import Geotransform, check_grid
+from glintrack.io.readings import report_reading
+from glintrack.io.times import check_rate
+from glintrack.io.untrusted import read_text
 
 # columns of the file and variables of the rows
 TRACK_COLUMNS = (
@@ -24,6 +29,8 @@ TRACK_COLUMNS = (
 )  # fmt: skip
 BOX_M = 5.0  # side of a track's box in MOTChallenge, about the length of a car
 _CAR = 3  # class of MOTChallenge
+_VEHICLES = (_CAR, 5)  # car, motorbike
+_PIXEL_ERROR, _METRE_ERROR = 0.02, 1e-3  # of rounded boxes and positions
 
 
 @dataclass(frozen=True)
@@ -126,6 +133,82 @@ def write_mot_truth(
         for k in np.flatnonzero(inside):
             lines.append(f"{frames[k]},{int(ident[k]) + 1},{boxes[k]},1,{_CAR},{seen[k]:.3f}\n")
     write_text(path, "".join(lines))
+
+
+def read_mot(path: Path, name: str, rate_hz: float | None, grid: Geotransform | None) -> pd.DataFrame:
+    """Read MOTChallenge text as a table of ``time_s``, ``id``, and ``east_m`` and ``north_m`` of the boxes.
+
+    Parameters
+    ----------
+    path, name
+        File of frame, id, left, top, width, height and more; and its name in error messages. ``truth`` of
+        nine columns ends in flag, class and ``visible_fraction``; motor vehicles with a flag are used.
+    rate_hz
+        Frame rate; frame 1 is at 0 s. [Hz]
+    grid
+        Position of the pixels. It may be left out if columns 8 and 9 are east and north, as `write_tracks`
+        writes them. [m]
+
+    Raises
+    ------
+    ValueError
+        If the file is no such text, or the rate or the position of the pixels is unknown.
+    """
+    text = read_text(path, name)
+    try:
+        comma = "," if "," in text else None
+        values = (
+            np.loadtxt(text.splitlines(), delimiter=comma, ndmin=2) if text.strip() else np.empty((0, 10))
+        )
+    except ValueError as error:
+        raise ValueError(f"`{name}` must be MOTChallenge text of numbers; got {path}: {error}") from error
+    columns, boxes = values.shape[1], values[:, :6]
+    fits = (boxes[:, 0] >= 1) & (boxes[:, 0] % 1 == 0) & (boxes[:, 4:] > 0).all(axis=1)
+    if columns < 6 or not (np.isfinite(boxes).all() and fits.all()):
+        raise ValueError(
+            f"`{name}` must be MOTChallenge text: frame from 1, id, left, top, and width and height above 0; "
+            f"got others in {path}."
+        )
+    if rate_hz is None:
+        raise ValueError(f"`rate` must be given for frame numbers instead of times; got none for {path}.")
+    check_rate(rate_hz)
+    frame, ident, left, top, wide, high = boxes.T
+    x, y = left - 1 + wide / 2, top - 1 + high / 2
+    if grid is not None:
+        check_grid(grid, "`geotransform`")
+        east, north = grid.west_m + grid.gsd_m * x, grid.north_m - grid.gsd_m * y
+    elif columns == 10 and _agree(x - 1j * y, values[:, 7] + 1j * values[:, 8]):
+        east, north = values[:, 7:9].T
+    else:
+        raise ValueError(
+            f"`geotransform` must be given for boxes in pixels without east and north in columns 8 and 9; "
+            f"got none for {path}. Give --geotransform WEST NORTH GSD."
+        )
+    table = pd.DataFrame({"time_s": (frame - 1) / rate_hz, "id": ident, "east_m": east, "north_m": north})
+    used, gone = np.ones(len(table), bool), {}
+    if name == "truth" and columns == 9:
+        table["visible_fraction"], marked = values[:, 8], values[:, 6] != 0
+        used = marked & np.isin(values[:, 7], _VEHICLES)
+        gone = {
+            "flag 0": (~marked).sum(),
+            "class of no motor vehicle (car 3, motorbike 5)": (marked & ~used).sum(),
+        }
+        if len(used) and not used.any():
+            raise ValueError(f"`truth` must hold boxes of class 3 or 5, with flag 1; got none in {path}.")
+    report_reading(
+        path, "boxes", len(used), used.sum(), gone, [f"frame 1 is 0 s; {rate_hz:g} frames a second"]
+    )
+    return table[used].sort_values("time_s", kind="stable", ignore_index=True)
+
+
+def _agree(pixels: Array, places_m: Array) -> bool:
+    """Return True if places, as east + i north, are those of pixels, as x − i y, by one scale and shift."""
+    if not len(pixels):
+        return True
+    pixels, places_m = pixels - pixels.mean(), places_m - places_m.mean()
+    gsd_m = np.vdot(pixels, places_m).real / (np.vdot(pixels, pixels).real or np.inf)
+    apart_m = np.abs(places_m - gsd_m * pixels).max()
+    return gsd_m > _METRE_ERROR and apart_m <= _PIXEL_ERROR * gsd_m + _METRE_ERROR
 
 
 def _csv(table: pd.DataFrame, place: TrackGeoreference) -> bytes:

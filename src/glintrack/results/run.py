@@ -17,6 +17,7 @@ from glintrack.case.packaged import find_case
 from glintrack.core.records import ServedQueries
 from glintrack.io.atomic import ResultFolder
 from glintrack.io.detections import read_tracks, read_truth
+from glintrack.io.orthoimages import Geotransform
 from glintrack.io.photographs import PlacedPose
 from glintrack.loop import case_navigation_errors, frame_rngs, simulate, with_visibility
 from glintrack.render import visible_fraction
@@ -204,6 +205,8 @@ def score(
     area_m: tuple[float, float, float, float] | None = None,
     match_distance_m: float = metrics.MATCH_DISTANCE_M,
     moving_speed_m_s: float = metrics.MOVING_SPEED_M_S,
+    rate_hz: float | None = None,
+    grid: Geotransform | None = None,
 ) -> dict[str, float]:
     """Score tracks against the truth; the function behind ``glintrack score``.
 
@@ -216,9 +219,11 @@ def score(
         West, south, east, north; vehicles outside do not count. By default as for `metrics.score_rows`. [m]
     match_distance_m, moving_speed_m_s
         Maximum distance of a track from its vehicle, and minimum speed of scored vehicles. [m, m s⁻¹]
+    rate_hz, grid
+        Frame rate [Hz] and position of the pixels of files in MOTChallenge text, see `io.tracks.read_mot`.
     """
-    rows = tracks if isinstance(tracks, xr.Dataset) else read_tracks(Path(tracks))
-    known = truth if isinstance(truth, xr.Dataset) else read_truth(Path(truth))
+    rows = tracks if isinstance(tracks, xr.Dataset) else read_tracks(Path(tracks), rate_hz, grid)
+    known = truth if isinstance(truth, xr.Dataset) else read_truth(Path(truth), rate_hz, grid)
     return metrics.score_rows(rows, known, area_m, match_distance_m, moving_speed_m_s)
 
 
