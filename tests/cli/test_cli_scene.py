@@ -134,7 +134,7 @@ def test_converted_traffic_is_that_of_the_scenes_window(tmp_path, ending):
     done = run(app, ["scene", "traffic", "--fcd", str(tmp_path / "mine.csv"), "-o", str(path)])
     assert done.exit_code == 0, done.output
     assert "2 vehicles in 14.5 s" in done.output
-    traffic, _ = read_fcd(path, (-330, -210, 330, 210))
+    traffic = read_fcd(path, (-330, -210, 330, 210))
     _, states = traffic.at(4.0)  # eight steps on, from the bumper to the centre
     np.testing.assert_allclose(states[:, :2], [[-20 - 4.5 / 2, 3], [-20 - 4.5 / 2, 9]], atol=1e-3)
     assert {p.name for p in tmp_path.iterdir()} == {"mine.csv", path.name}
@@ -160,5 +160,5 @@ def test_sumo_drives_a_scene_as_long_as_asked(tmp_path, monkeypatch):
     done = run(app, ["scene", "traffic", "-o", str(path), *asked])
     assert done.exit_code == 0, done.output
     assert "in 6 s" in done.output
-    traffic, _ = read_fcd(path, (-330, -210, 330, 210))
+    traffic = read_fcd(path, (-330, -210, 330, 210))
     assert traffic.duration_s == pytest.approx(6.0) and traffic.count.size > 10

@@ -208,7 +208,7 @@ def test_a_stray_detection_far_outside_is_said(tmp_path, monkeypatch, capsys):
     detections.loc[10, "east_m"] = 4e5
     detections.to_csv(tmp_path / "d.csv", index=False)
     code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out")
-    assert code == 0 and f"left out 1 of {len(detections)} detections outside" in said
+    assert code == 0 and f"{len(detections)} detections" in said and "1: outside " in said
 
 
 def test_exchanged_columns_are_told_where_an_area_or_a_map_shows_them(tmp_path, monkeypatch, capsys):

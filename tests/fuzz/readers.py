@@ -361,7 +361,7 @@ def _recording(path: Path) -> None:
 
 
 def _moving(path: Path):
-    recording = read_fcd(path, EXTENT_M)[0]
+    recording = read_fcd(path, EXTENT_M)
     return [recording.at(t) for t in (0.0, recording.duration_s / 2, recording.duration_s)]
 
 

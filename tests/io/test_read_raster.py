@@ -10,6 +10,7 @@ from rasterio.transform import Affine, from_origin
 from glintrack.io.heights import read_height_range, read_heights
 from glintrack.io.orthoimages import open_frames
 from glintrack.io.read_raster import length_unit_m, read_raster
+from glintrack.io.readings import collect_readings
 
 UTM = "EPSG:32632"
 CORNER = from_origin(500000, 5700100, 10, 10)
@@ -63,6 +64,22 @@ def test_heights_that_may_be_wrong_are_refused(tmp_path, about, complaint):
     path = write(tmp_path / "d.tif", values, **about)
     with pytest.raises(ValueError, match=complaint):
         read_height_range(path, "dem")
+
+
+@pytest.mark.parametrize(
+    ("about", "said"),
+    [
+        ({}, "no unit of height: metres (if they are feet: gdal_edit.py -units ft d.tif)"),
+        ({"unit": "m"}, "heights in metres"),
+        ({"crs": "EPSG:32632+5773"}, "heights in metres"),  # EGM96 height
+        ({"unit": "ft"}, "heights times 0.3048 m"),
+    ],
+)
+def test_the_unit_of_heights_is_said(tmp_path, about, said):
+    path = write(tmp_path / "d.tif", np.full((10, 10), 20, np.uint8), **about)
+    with collect_readings() as readings:
+        read_height_range(path, "dem")
+    assert readings[0].notes == (said,)
 
 
 def test_a_filler_that_is_not_marked_is_found_before_its_scale(tmp_path):

@@ -1,6 +1,9 @@
 """Lens prescriptions through optiland: a closed form, the shipped ones, bad files."""
 
 import math
+import runpy
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -85,3 +88,76 @@ def test_prescriptions_that_are_none_are_refused(tmp_path):
             wavelengths_um=(0.5,),
             surfaces=(MIRROR.model_copy(update={"stop": False}),),
         )
+
+
+HOWTO = Path(__file__).parents[2] / "docs" / "howto"
+
+
+def zemax(unit="MM", mm=1.0, **other):
+    """The packaged relay, and an N-BK7 window of 2 mm before its first mirror, as OpticStudio writes it."""
+    relay = read_lens("relay")
+    lines = ["MODE SEQ", "NAME window and relay", f"UNIT {unit} X W X CM MR CPMM", "OBNA 0.0892857142857 0"]
+    places = [*relay.fields_mm, (0.0, 0.0)]  # OpticStudio pads with zeros
+    lines += [f"{k}FLN " + " ".join(f"{p[i] / mm:.9f}" for p in places) for i, k in enumerate("XY")]
+    lines += ["FTYP 1 1 6 3 0 0 0", "WAVM 1 0.4 1", "WAVM 2 0.7 1", "WAVM 3 1 1", "WAVM 4 0.55 1", "PWAV 2"]
+    rows = [(0, 300.0, ""), (0, 2.0, "GLAS N-BK7 0 0 1.5168 64.17"), (0, 18.0, "")]
+    mirror = "GLAS MIRROR 0 0 1.5 40"
+    rows += [(1 / s.radius_mm, s.thickness_mm, mirror) for s in relay.surfaces] + [(0, 0.0, "")]
+    for k, (curvature, thickness_mm, glass) in enumerate(rows):
+        lines += [
+            f"SURF {k}",
+            *["  STOP"] * (k == 4),
+            "  TYPE STANDARD",
+            f"  CURV {curvature * mm:.12g} 0 0 0",
+        ]
+        lines += [f"  DISZ {thickness_mm / mm:.12g}", f"  {glass}", "  CONI 0", "  DIAM 46 0 0 0 1"]
+    text = "\r\n".join(lines)
+    for old, new in other.values():
+        text = text.replace(old, new, 1)
+    return text
+
+
+@pytest.mark.parametrize(
+    ("unit", "mm", "encoding"), [("MM", 1.0, "utf-8"), ("IN", 25.4, "utf-16"), ("CM", 10.0, "latin-1")]
+)
+def test_a_zemax_file_is_converted(tmp_path, monkeypatch, unit, mm, encoding):
+    path, made = tmp_path / "relay.zmx", tmp_path / "relay.toml"
+    path.write_bytes(zemax(unit, mm).encode(encoding))
+    with pytest.raises(ValueError, match=r"Convert it: python docs/howto/my_zemax_lens.py .*relay.zmx"):
+        read_lens(str(path))
+    monkeypatch.setattr(sys, "argv", ["my_zemax_lens.py", str(path), str(made)])
+    runpy.run_path(str(HOWTO / "my_zemax_lens.py"), run_name="__main__")
+    lens, relay = read_lens(str(made)), read_lens("relay")
+    assert (lens.name, lens.object_distance_mm, lens.telecentric) == ("window and relay", 300.0, True)
+    assert lens.f_number == pytest.approx(5.6) and lens.wavelengths_um == (0.4, 0.7, 1.0)
+    np.testing.assert_allclose(lens.fields_mm, relay.fields_mm)
+    assert [s.material for s in lens.surfaces] == ["N-BK7", "air", "mirror", "mirror", "mirror"]
+    assert [s.stop for s in lens.surfaces] == [False, False, False, True, False]
+    for mine, first in zip(lens.surfaces[2:], relay.surfaces, strict=True):
+        assert (mine.radius_mm, mine.thickness_mm) == pytest.approx((first.radius_mm, first.thickness_mm))
+    if unit == "MM":  # optiland's own reader, which takes every file for millimetres
+        optic = pytest.importorskip("optiland.fileio").load_zemax_file(str(path))
+        radii = [np.inf if s.radius_mm is None else s.radius_mm for s in lens.surfaces]
+        np.testing.assert_allclose(np.asarray(optic.surfaces.radii)[1:-1], radii)
+
+
+@pytest.mark.parametrize(
+    ("change", "requirement"),
+    [
+        (("UNIT MM", "UNIT FURLONG"), "a UNIT of MM, CM, IN, METER"),
+        (("FTYP 1", "FTYP 0"), "fields of the type Object Height"),
+        (("OBNA", "ENPD"), "an aperture of the type Object Space NA"),
+        (("DISZ 300", "DISZ INFINITY"), "an object at a finite distance"),
+        (("SURF 1\r\n  TYPE STANDARD", "SURF 1\r\n  TYPE BINARY_2"), "got BINARY_2 at SURF 1"),
+        (("GLAS N-BK7", "GLAS ___BLANK"), "got a model glass at SURF 1"),
+        (
+            ("GLAS N-BK7", "CLAP 0 5 0\r\n  GLAS N-BK7"),
+            "no apertures other than the stop; got ['CLAP'] at SURF 1",
+        ),
+    ],
+)
+def test_what_a_lens_cannot_hold_is_refused_by_name(change, requirement):
+    converter = runpy.run_path(str(HOWTO / "my_zemax_lens.py"))
+    with pytest.raises(SystemExit) as end:
+        converter["convert"](zemax(change=change))
+    assert requirement in str(end.value)

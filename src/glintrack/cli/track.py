@@ -20,6 +20,7 @@ from glintrack.io.readings import report_reading
 from glintrack.io.toml import read_toml
 from glintrack.io.tracks import WRITERS, TrackGeoreference, write_tracks
 from glintrack.results.froc import FROC_SCORES, froc
+from glintrack.study.design import flat
 from glintrack.track.files import (
     DETECTIONS_DESIGN,
     FRAMES_DESIGN,
@@ -62,7 +63,7 @@ def track_files(
         metric_crs(crs)
     console, swept = open_console(), list[dict[str, float]]()
     changes = {} if design is None else over_like(read_toml(design, "design"))
-    changes = _flatten_keys(changes.get("track", changes))
+    changes = flat(changes.get("track", changes))
     grid = None if geotransform is None else Geotransform(*geotransform)
     if source.suffix.lower() in (".csv", ".txt"):
         _check_unused("frames", source, channel=channel)
@@ -76,11 +77,8 @@ def track_files(
             tracked = track_detections(table, tracker, area)
         box = " ".join(f"{v:.0f}" for v in tracked.area_m)
         count = len(table.time_s)
-        report_reading(
-            source, "detections", count, count - tracked.outside, {f"outside {box} m": tracked.outside}
-        )
-        for note in _detection_notes(table, tracked):
-            console.print(note)
+        gone, notes = {f"outside {box} m": tracked.outside}, _detection_notes(table, tracked)
+        report_reading(source, "detections", count, count - tracked.outside, gone, notes)
         rows, (west, _, _, north) = tracked.rows, tracked.area_m
         place = TrackGeoreference(crs, north_west_m=(west, north), times_s=np.unique(table.time_s).tolist())
         if froc_truth is not None:
@@ -127,7 +125,7 @@ def _check_unused(of: str, source: Path, **options: object) -> None:
 
 
 def _detection_notes(table: DetectionTable, tracked: TrackedRows) -> list[str]:
-    """List the features, detections outside the area, and a unit that may be wrong."""
+    """List the features, and ask about axes that may be exchanged and a unit that may be wrong."""
     notes, position = [], table.position
     if table.feature_names:
         notes.append(f"features: {', '.join(table.feature_names)}")
@@ -135,11 +133,8 @@ def _detection_notes(table: DetectionTable, tracked: TrackedRows) -> list[str]:
         west, south, east, north = tracked.area_m
         exchanged = position[:, ::-1]
         inside = ((exchanged >= [west, south]) & (exchanged <= [east, north])).all(axis=1).mean()
-        question = (
-            "exchanged most lie inside: are east_m and north_m exchanged?" if inside > 0.5 else "see --area"
-        )
-        box = " ".join(f"{v:.0f}" for v in tracked.area_m)
-        notes.append(f"left out {tracked.outside} of {len(position)} detections outside {box} m ({question})")
+        exchange = "exchanged most lie inside: are east_m and north_m exchanged?"
+        notes.append(exchange if inside > 0.5 else "--area sets the area")
     if len(position) and len(position) >= _SEVERAL * len(np.unique(table.time_s)):
         across, along = np.ptp(position, axis=0).tolist()
         if max(across, along) < _SMALL_M:
@@ -180,13 +175,3 @@ def _write(
         width_m, height_m = (float(np.ptp(rows[axis].values)) for axis in ("east_m", "north_m"))
         over += f" within {width_m:.3g} m × {height_m:.3g} m"
     console.print(f"wrote {path}: {over} in {', '.join(names)}")
-
-
-def _flatten_keys(table: dict, before: str = "") -> dict:
-    """Values of nested tables by their dotted keys."""
-    out = {}
-    for key, value in table.items():
-        out |= (
-            _flatten_keys(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
-        )
-    return out

@@ -154,8 +154,9 @@ def read_height_band(
         raise ValueError(f"`{option}` must hold heights; got the colours of a picture in {name}.")
     metres = _height_unit_m(file, option)
     rest = {"only the first band is heights": file.count - 1}
-    notes = _notes(file, [1]) if metres == 1 else (*_notes(file, [1]), f"heights times {metres:.9g} m")
-    report_reading(name, "bands", file.count, 1, rest, notes)
+    unit = f"no unit of height: metres (if they are feet: gdal_edit.py -units ft {name})"
+    unit = unit if metres is None else f"heights times {metres:.9g} m" if metres != 1 else "heights in metres"
+    report_reading(name, "bands", file.count, 1, rest, (*_notes(file, [1]), unit))
     raw = _read_masked(file, option, [1], window, shape)
     values, is_scaled = _to_physical(file, option, [1], raw)
     if is_scaled and np.isin(raw, _FILLERS).any():
@@ -163,7 +164,7 @@ def read_height_band(
             f"`{option}` must mark missing heights; got {raw[np.isin(raw, _FILLERS)][0]:g} before its scale "
             f"in {name}. Mark them: gdal_edit.py -a_nodata …"
         )
-    heights = values[0] * metres
+    heights = values[0] * (metres or 1.0)
     check_heights(heights, option, name)
     return heights
 
@@ -183,8 +184,8 @@ def _length_units_m() -> dict[str, float]:
     return known | dict.fromkeys(("dm", "decimeter", "decimetre"), 0.1)  # 0.01 in PROJ 9
 
 
-def _height_unit_m(file: rasterio.DatasetReader, option: str) -> float:
-    """Return the unit of heights: that of the band, else of the vertical CRS, else metres. [m]"""
+def _height_unit_m(file: rasterio.DatasetReader, option: str) -> float | None:
+    """Return the unit of heights: that of the band, else of the vertical CRS, else None for metres. [m]"""
     name, unit = Path(file.name).name, file.units[0] or ""
     remedy = f"gdal_edit.py -units m {name}, or -units ft"
     axes = any_crs(file.crs).axis_info if file.crs else []
@@ -203,7 +204,7 @@ def _height_unit_m(file: rasterio.DatasetReader, option: str) -> float:
             f"`{option}` must state the unit of its heights; got {name} with a CRS in {axes[0].unit_name} "
             f"and no unit of its band. Set it: {remedy}."
         )
-    return 1.0
+    return None
 
 
 def _read_masked(

@@ -21,7 +21,8 @@ from glintrack.io.untrusted import read_text
 _WAVELENGTHS = {"wavelength_um": 1.0, "wavelength_nm": 1e-3}
 _MIN_UM, _MAX_UM = 0.01, 100.0  # wavelengths of others are in another unit
 _MISSING = -900.0  # and below: −9999, −1.23e34
-_ROW = re.compile(r"^[ \t]*([-+.\d][-+.\deE]*)[ \t]+([-+.\d][-+.\deE]*)\s*$", re.MULTILINE)
+_NUMBER = r"([-+]?\d+\.?\d*(?:[eE][-+]?\d+)?)"
+_ROW = re.compile(rf"^[ \t]*{_NUMBER}[ \t]+{_NUMBER}\s*$", re.MULTILINE)
 _ECOSTRESS = re.compile(r"^(X Units|Y Units|Number of X Values):\s*(.*?)\s*$", re.MULTILINE)
 
 
@@ -109,9 +110,8 @@ def _read_ecostress(path: Path, key: str) -> tuple[pd.DataFrame, list[str]]:
             f"`{key}` must be a CSV file, or ECOSTRESS's text with X Units in micrometers or nanometers and "
             f"Y Units of reflectance; got {path}. Write a CSV with columns wavelength_um and reflectance."
         )
-    table = pd.DataFrame(_ROW.findall(text), columns=[axis, "reflectance"]).apply(
-        pd.to_numeric, errors="coerce"
-    )
+    rows = [(float(x), float(y)) for x, y in _ROW.findall(text)]
+    table = pd.DataFrame(rows, columns=pd.Index([axis, "reflectance"]))
     if str(len(table)) != about.get("Number of X Values", str(len(table))):
         raise ValueError(
             f"`{key}` must be whole; got {len(table)} of {about['Number of X Values']} values in {path}."

@@ -105,7 +105,7 @@ def numbers(table: pd.DataFrame, path: Path, columns: Sequence[str]) -> Float[Ar
     out = np.empty((len(table), len(columns)))
     for k, column in enumerate(columns):
         try:
-            out[:, k] = pd.to_numeric(table[column], errors="coerce")
+            out[:, k] = np.asarray(pd.to_numeric(table[column], errors="coerce"), dtype=float)
         except (OverflowError, TypeError) as error:
             raise ValueError(f"`{column}` must hold numbers that fit; got {error} in {path}.") from error
         words = np.flatnonzero(np.isnan(out[:, k]) & table[column].notna().to_numpy())

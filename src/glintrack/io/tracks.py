@@ -198,7 +198,7 @@ def read_mot(path: Path, name: str, rate_hz: float | None, grid: Geotransform | 
     report_reading(
         path, "boxes", len(used), used.sum(), gone, [f"frame 1 is 0 s; {rate_hz:g} frames a second"]
     )
-    return table[used].sort_values("time_s", kind="stable", ignore_index=True)
+    return table.iloc[np.flatnonzero(used)].sort_values("time_s", kind="stable").reset_index(drop=True)
 
 
 def _agree(pixels: Array, places_m: Array) -> bool:
@@ -208,7 +208,7 @@ def _agree(pixels: Array, places_m: Array) -> bool:
     pixels, places_m = pixels - pixels.mean(), places_m - places_m.mean()
     gsd_m = np.vdot(pixels, places_m).real / (np.vdot(pixels, pixels).real or np.inf)
     apart_m = np.abs(places_m - gsd_m * pixels).max()
-    return gsd_m > _METRE_ERROR and apart_m <= _PIXEL_ERROR * gsd_m + _METRE_ERROR
+    return bool(gsd_m > _METRE_ERROR and apart_m <= _PIXEL_ERROR * gsd_m + _METRE_ERROR)
 
 
 def _csv(table: pd.DataFrame, place: TrackGeoreference) -> bytes:

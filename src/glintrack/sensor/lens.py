@@ -90,6 +90,9 @@ def read_lens(name: str) -> LensDesign:
         if not is_file(Path(name)):
             known = ", ".join(lens_names())
             raise ValueError(f"`lens` must be one of {known} or a readable TOML file; got {name}.")
+        if name.lower().endswith(".zmx"):
+            convert = f"python docs/howto/my_zemax_lens.py {name} lens.toml"
+            raise ValueError(f"`lens` must be a TOML file; got the Zemax file {name}. Convert it: {convert}")
         return validate_design(LensDesign, read_toml(name, "lens"))
     packaged = resources.files("glintrack") / "data" / "lenses" / f"{name}.toml"
     return validate_design(LensDesign, tomllib.loads(packaged.read_text(encoding="utf-8")))

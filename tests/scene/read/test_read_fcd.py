@@ -24,7 +24,7 @@ def test_fcd_table_becomes_traffic(tmp_path):
     rows += [f"{300 + 0.1 * k:.2f};0.00;a;hatch;0;{k}" for k in range(2, 5)]
     rows += [f"{300 + 0.1 * k:.2f};0.00;far;car;900;{k}" for k in range(5)]
     path.write_text(HEAD + "\n".join(rows))
-    traffic, _ = read_fcd(path, (-50, -50, 50, 50), start_s=300)
+    traffic = read_fcd(path, (-50, -50, 50, 50), start_s=300)
     assert traffic.steps == 5 and traffic.step_s == pytest.approx(0.1)
     assert traffic.first.tolist() == [0, 2] and traffic.count.tolist() == [5, 3]  # b came first; far never
     assert traffic.model.tolist() == [CAR, HATCH]
@@ -36,11 +36,12 @@ def test_vehicle_that_vanishes_comes_back_as_another_or_not_at_all(tmp_path):
     rows = [f"{0.1 * k:.2f};90.00;a;car;{k};0" for k in (0, 1, 2, 6, 7)]
     rows += [f"{0.1 * k:.2f};90.00;b;car;{k};9" for k in range(8)]
     path.write_text(HEAD + "\n".join(rows))
-    traffic, _ = read_fcd(path, (-50, -50, 50, 50), start_s=0, returning=False)
+    traffic = read_fcd(path, (-50, -50, 50, 50), start_s=0, returning=False)
     assert traffic.count.tolist() == [3, 8]
     assert traffic.bumper_east.tolist() == [0, 1, 2, *range(8)]
-    traffic, changes = read_fcd(path, (-50, -50, 50, 50), start_s=0)
-    assert "come back do so as others, once" in changes[0]
+    with collect_readings() as readings:
+        traffic = read_fcd(path, (-50, -50, 50, 50), start_s=0)
+    assert "1 vehicles vanish and come back as others" in readings[0].notes
     assert traffic.count.tolist() == [3, 8, 2] and traffic.first.tolist() == [0, 0, 6]
     assert traffic.bumper_east.tolist() == [0, 1, 2, *range(8), 6, 7]
 
@@ -103,15 +104,14 @@ def test_every_format_gives_the_same_traffic_and_what_was_written(tmp_path):
     (tmp_path / "f.xml.gz").write_bytes(gzip.compress(as_xml().encode()))
     written = sorted(some_rows(), key=lambda row: ({"a": 0, "c": 1, "b": 2}[row[1]], row[0]))
     for name in ("s.csv", "c.csv", "f.xml", "f.xml.gz"):
-        traffic, changes = read_fcd(tmp_path / name, WINDOW)
+        with collect_readings() as readings:
+            traffic = read_fcd(tmp_path / name, WINDOW)
         assert (traffic.step_s, traffic.steps) == (0.5, 12)
         assert traffic.first.tolist() == [0, 0, 3] and traffic.count.tolist() == [12, 8, 9]
         assert [list(VEHICLE_CLASSES)[m] for m in traffic.model] == ["car", "car", "van"]
-        change, *others = changes
-        assert others == (
-            ["left out, because they are no road vehicles: 1 × person"] if "xml" in name else []
-        )
-        assert change.startswith("2 vehicles are shown as the model")
+        assert readings[0].left_out == ((("no road vehicles: 1 × person", 1),) if "xml" in name else ())
+        change = readings[0].notes[-1]
+        assert change.startswith("shown as the model their type suggests")
         assert {"1 × no type", "1 × passenger/delivery_van"} == set(change.partition(": ")[2].split(", "))
         np.testing.assert_allclose(traffic.bumper_east, [row[3] for row in written])
         np.testing.assert_allclose(traffic.bumper_north, [row[4] for row in written])
@@ -121,9 +121,10 @@ def test_every_format_gives_the_same_traffic_and_what_was_written(tmp_path):
 def test_what_is_no_road_vehicle_is_told_and_keeps_the_clock(tmp_path):
     rows = ["0;90;a;car;0;0", "1;90;a;car;9;0", "2;0;t;tram;5;5", "3;90;a;car;27;0", "2;90;p;pedestrian;0;0"]
     (tmp_path / "f.csv").write_text(HEAD + "\n".join(rows))
-    traffic, changes = read_fcd(tmp_path / "f.csv", WINDOW)
+    with collect_readings() as readings:
+        traffic = read_fcd(tmp_path / "f.csv", WINDOW)
     assert (traffic.step_s, traffic.steps) == (1.0, 4)
-    assert changes[0] == "left out, because they are no road vehicles: 1 × tram, 1 × pedestrian"
+    assert readings[0].left_out == (("no road vehicles: 1 × tram, 1 × pedestrian", 2),)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +143,7 @@ def test_what_is_left_out_leaves_no_nonsense(tmp_path, rows, sentence):
 def test_parquet_reads_as_csv_does(tmp_path):
     (tmp_path / "s.csv").write_text(as_csv(";"))
     pd.read_csv(tmp_path / "s.csv", sep=";").to_parquet(tmp_path / "f.parquet")
-    one, other = (read_fcd(tmp_path / name, WINDOW)[0] for name in ("s.csv", "f.parquet"))
+    one, other = (read_fcd(tmp_path / name, WINDOW) for name in ("s.csv", "f.parquet"))
     np.testing.assert_array_equal(one.bumper_east, other.bumper_east)
 
 
@@ -231,15 +232,15 @@ def test_a_missing_file_is_named(tmp_path):
 def test_traffic_makes_the_round_trip(tmp_path, ending):
     source, path = tmp_path / "f.csv", tmp_path / f"t{ending}"
     source.write_text(as_csv(";"))
-    before, _ = read_fcd(source, WINDOW)
+    before = read_fcd(source, WINDOW)
     if ending == ".nc":
         write_recording(path, Recording(RoadNetwork((), ()), before), {"title": "t"})
     elif ending == ".csv":
         fcd_table(before).to_csv(path, sep=";", index=False)
     else:
         fcd_table(before).to_parquet(path, index=False)
-    after, changes = read_fcd(path, WINDOW)
-    assert changes == () and after.steps == before.steps and after.step_s == before.step_s
+    after = read_fcd(path, WINDOW)
+    assert after.steps == before.steps and after.step_s == before.step_s
     for name in ("first", "count", "model"):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
     for name in ("bumper_east", "bumper_north"):
@@ -300,13 +301,13 @@ def test_forms_of_one_simulation_are_one_recording(tmp_path):
     pd.read_csv(tmp_path / "day.csv", sep=";").to_parquet(tmp_path / "day.parquet")
     for name in (*texts, "f.csv.gz", "f.parquet", "day.parquet"):
         with collect_readings() as readings:
-            traffic, changes = read_fcd(tmp_path / name, WINDOW)
+            traffic = read_fcd(tmp_path / name, WINDOW)
         assert (traffic.step_s, traffic.steps, traffic.first.tolist()) == (0.5, 6, [2]), name
         assert traffic.bumper_east.tolist() == [5, 12] and traffic.model.tolist() == [
             list(VEHICLE_CLASSES).index("motorcycle")
         ]
         np.testing.assert_allclose(np.degrees(traffic.angle), 90)
-        assert changes[-1].endswith("no road vehicles: 1 × person")
+        assert readings[0].left_out == (("no road vehicles: 1 × person", 1),)
         assert [(r.content, r.found, r.used) for r in readings] == [("vehicles", 2, 1)]
         assert "time zero is 0 s of the file" in readings[0].notes[0]
 
@@ -323,7 +324,7 @@ def test_degrees_are_refused_or_projected(tmp_path):
     (tmp_path / "f.csv").write_text(HEAD + "\n".join(f"{t};90;{v};car;{x};{y}" for t, v, x, y in rows))
     with pytest.raises(ValueError, match=r"look like degrees, about \(-0.0981, 51.5016\)"):
         read_fcd(tmp_path / "f.csv", WINDOW)
-    traffic, _ = read_fcd(
+    traffic = read_fcd(
         tmp_path / "f.csv",
         (-900, -900, 900, 900),
         project=lambda x, y: ((x + 0.0985) * 69_400, (y - 51.5) * 111_250),
@@ -331,7 +332,7 @@ def test_degrees_are_refused_or_projected(tmp_path):
     assert traffic.bumper_east[:9].tolist() == pytest.approx([6.94 * k for k in range(9)])
     metres = [(t, v, 69_400 * (x + 0.0985), 9 * v) for t, v, x, y in rows]
     (tmp_path / "m.csv").write_text(HEAD + "\n".join(f"{t};90;{v};car;{x};{y}" for t, v, x, y in metres))
-    assert read_fcd(tmp_path / "m.csv", (-99, -99, 99, 99))[0].count.tolist() == [9, 9, 9]
+    assert read_fcd(tmp_path / "m.csv", (-99, -99, 99, 99)).count.tolist() == [9, 9, 9]
 
 
 def test_angles_of_motion_follow_turns_and_hold_while_standing(tmp_path):
@@ -339,7 +340,7 @@ def test_angles_of_motion_follow_turns_and_hold_while_standing(tmp_path):
     lines = [f"{t};a;car;{x};{y}" for t, (x, y) in enumerate(path)]
     head = "timestep_time;vehicle_id;vehicle_type;vehicle_x;vehicle_y\n"
     (tmp_path / "f.csv").write_text(head + "\n".join(lines))
-    assert np.degrees(read_fcd(tmp_path / "f.csv", WINDOW)[0].angle).tolist() == [90, 90, 0, 0, 0]
+    assert np.degrees(read_fcd(tmp_path / "f.csv", WINDOW).angle).tolist() == [90, 90, 0, 0, 0]
     (tmp_path / "f.csv").write_text(head + "0;a;car;0;0\n1;a;car;0;0\n")
     with pytest.raises(ValueError, match="must give angles; got none, and 1 vehicles that never move"):
         read_fcd(tmp_path / "f.csv", WINDOW)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from glintrack.io.readings import collect_readings
 from glintrack.scene.read.polygons import read_polygons
 
 FOOT_M = 0.3048
@@ -54,14 +55,15 @@ def test_height_of_a_building(tmp_path, attributes, tags, height_m):
 
 
 def test_rings_inside_are_courtyards_and_what_stands_in_those_stands_again(tmp_path):
-    found = read(tmp_path, polygon("a", 0, 0, 100), polygon("b", 20, 20, 60), polygon("c", 40, 40, 20))
-    assert found.courtyards == 1
+    with collect_readings() as readings:
+        found = read(tmp_path, polygon("a", 0, 0, 100), polygon("b", 20, 20, 60), polygon("c", 40, 40, 20))
+    assert readings[0].notes == ("1 rings inside others are courtyards",)
     assert sorted(f.shape.area for f in found.footprints) == pytest.approx([20**2, 100**2 - 60**2])
 
 
 def test_buildings_side_by_side_are_both_kept(tmp_path):
     found = read(tmp_path, polygon("a", 0, 0, 10), polygon("b", 10, 0, 10))
-    assert len(found.footprints) == 2 and found.courtyards == 0
+    assert len(found.footprints) == 2
 
 
 def test_many_buildings_over_each_other_are_refused_before_all_pairs_are_tried(tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from glintrack.core.installation import MissingExtraError
+from glintrack.io.readings import collect_readings
 from glintrack.scene import SceneDesign, build_scene
 from glintrack.scene.read.mesh import ground_under, read_mesh
 
@@ -130,16 +131,18 @@ def test_bad_meshes_get_one_sentence(tmp_path):
 
 def test_edges_that_are_open_or_of_three_faces_are_told_not_refused(tmp_path):
     fin = np.vstack([SQUARE, [50, 50, 40]])
-    mesh = read_mesh(export(tmp_path, fin, [*FACES, [0, 2, 4]]))
-    assert any("1 edges join more than two triangles (not manifold)" in flaw for flaw in mesh.flaws)
-    assert any("edges are open" in flaw for flaw in mesh.flaws)
+    with collect_readings() as readings:
+        read_mesh(export(tmp_path, fin, [*FACES, [0, 2, 4]]))
+    assert any("1 edges join more than two triangles" in note for note in readings[-1].notes)
+    assert any("edges are open" in note for note in readings[-1].notes)
 
 
 def test_triangles_that_lie_on_others_are_left_out_and_told(tmp_path):
     twice = [*FACES, [2, 1, 0]]  # the first once more, seen from behind
-    mesh = read_mesh(export(tmp_path, SQUARE, twice))
+    with collect_readings() as readings:
+        mesh = read_mesh(export(tmp_path, SQUARE, twice))
     np.testing.assert_array_equal(mesh.faces, FACES)
-    assert "1 triangles lie on others: the first of each is used" in mesh.flaws
+    assert readings[-1].left_out == (("on others: the first is used", 1),)
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ def read_fcd(
     start_s: float | None = None,
     returning: bool = True,
     project: Callable[[Array, Array], tuple[Array, Array]] | None = None,
-) -> tuple[Traffic, tuple[str, ...]]:
+) -> Traffic:
     """Read floating-car data and crop them to a window.
 
     Parameters
@@ -54,8 +54,7 @@ def read_fcd(
 
     Returns
     -------
-    Traffic in the file's coordinates, vehicles in order of first appearance, then of their id; and the
-    changes made, one sentence each.
+    Traffic in the file's coordinates, vehicles in order of first appearance, then of their id.
 
     Raises
     ------
@@ -66,7 +65,7 @@ def read_fcd(
     if path.suffix == ".nc":
         traffic = read_recording(check_netcdf(path, path.name)).traffic
         report_reading(path, "vehicles", traffic.count.size, traffic.count.size)
-        return traffic, ()
+        return traffic
     rows = read_fcd_rows(path)
     clock, table = rows.clock_s, rows.table
     all_ids = len(table["vehicle_id"].unique())
@@ -119,25 +118,18 @@ def read_fcd(
         bumper_north=y[kept],
         angle=angle[kept],
     )
-    said: tuple[str, ...] = ()
     guessed = [kind for kind in kinds if kind not in VEHICLE_CLASSES]
     if guessed:
-        said += (
-            f"{len(guessed)} vehicles are shown as the model their type suggests, else a car: "
-            f"{_count_types(guessed)}",
-        )
-    no_road = f"no road vehicles: {_count_types(others)}"
-    if len(others):
-        said += (f"left out, because they are {no_road}",)
+        notes.append(f"shown as the model their type suggests, else a car: {_count_types(guessed)}")
     used = len(np.unique(whole[kept]))
-    returned = len(present) - used
-    if returned:
-        times = "once" if returned == 1 else f"{returned} times"
-        said += (f"vehicles that vanish and come back do so as others, {times}",)
-    left_out = {no_road: len(others), "never in the window": len(names) - used}
-    notes += [sentence for sentence in said if no_road not in sentence]
+    if returned := len(present) - used:
+        notes.append(f"{returned} vehicles vanish and come back as others")
+    left_out = {
+        f"no road vehicles: {_count_types(others)}": len(others),
+        "never in the window": len(names) - used,
+    }
     report_reading(path, "vehicles", all_ids, used, left_out, notes)
-    return traffic, said
+    return traffic
 
 
 def _time_steps(

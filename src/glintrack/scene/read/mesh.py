@@ -43,15 +43,12 @@ class NamedMesh:
         Materials, or objects where there are none.
     name_of
         Index of each face into ``names``.
-    flaws
-        Flaws that can be rendered, one sentence each.
     """
 
     vertices: Float[Array, "vertex 3"]
     faces: Int[Array, "face 3"]
     names: tuple[str, ...]
     name_of: Int[Array, "face"]
-    flaws: tuple[str, ...] = ()
 
     @property
     def extent_m(self) -> Extent:
@@ -150,24 +147,17 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
     if flat.all():
         raise ValueError(f"`mesh_file` must have triangles with an area; got {len(faces)} without.")
     kept = np.flatnonzero(~flat)
-    flaws = [f"{int(flat.sum())} triangles without area are left out"] if flat.any() else []
     _, joined = np.unique(np.round(vertices, 4), axis=0, return_inverse=True)
     _, first = np.unique(np.sort(joined.ravel()[faces[kept]], axis=1), axis=0, return_index=True)
-    if first.size < kept.size:  # a ray would meet either at random
-        flaws.append(f"{kept.size - first.size} triangles lie on others: the first of each is used")
-        kept = kept[np.sort(first)]
-    gone = {"without area": int(flat.sum()), "on others": int((~flat).sum()) - len(kept)}
-    report_reading(path, "triangles", len(faces), len(kept), gone)
+    gone = {"without area": int(flat.sum()), "on others: the first is used": kept.size - first.size}
+    kept = kept[np.sort(first)]  # a ray would meet either at random
     corners = np.sort(joined.ravel()[faces[kept]][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     _, uses = np.unique(corners, axis=0, return_counts=True)
-    if (uses > 2).any():
-        flaws.append(
-            f"{int((uses > 2).sum())} edges join more than two triangles (not manifold): "
-            "each triangle is rendered as a sheet of its own"
-        )
-    if (uses == 1).any():
-        flaws.append(f"{int((uses == 1).sum())} edges are open: surfaces are seen from both sides alike")
-    return NamedMesh(vertices, faces[kept], names, name_of[kept], tuple(flaws))
+    sheets, edges = int((uses > 2).sum()), int((uses == 1).sum())
+    notes = [f"{sheets} edges join more than two triangles, which are sheets of their own"] * (sheets > 0)
+    notes += [f"{edges} edges are open: surfaces are seen from both sides alike"] * (edges > 0)
+    report_reading(path, "triangles", len(faces), len(kept), gone, notes)
+    return NamedMesh(vertices, faces[kept], names, name_of[kept])
 
 
 def _read_parts(path: Path) -> list[Part]:

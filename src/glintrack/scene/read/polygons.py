@@ -69,13 +69,10 @@ class Polygons:
         Buildings without their courtyards.
     grounds
         (kind, shape) with kinds ``water``, ``forest``, ``parking``, ``soil``, ``dry``, ``lawn``.
-    courtyards
-        Number of courtyards.
     """
 
     footprints: tuple[Footprint, ...] = ()
     grounds: tuple[tuple[str, BaseGeometry], ...] = ()
-    courtyards: int = 0
 
 
 def read_polygons(path: Path) -> Polygons:
@@ -111,9 +108,10 @@ def read_polygons(path: Path) -> Polygons:
             buildings += [Footprint(part, height_of(tags)) for part in parts]
         elif kind is not None:
             grounds += [(kind, part) for part in parts]
-    report_reading(path, "buildings and grounds", count, count - gone.total(), gone, unread_heights(tagged))
     whole, courtyards = _cut_courtyards(buildings, path.name)
-    return Polygons(tuple(whole), tuple(grounds), courtyards)
+    notes = unread_heights(tagged) + [f"{courtyards} rings inside others are courtyards"] * (courtyards > 0)
+    report_reading(path, "buildings and grounds", count, count - gone.total(), gone, notes)
+    return Polygons(tuple(whole), tuple(grounds))
 
 
 def area_parts(shape: BaseGeometry) -> list[Polygon]:

@@ -326,7 +326,7 @@ def simulate_traffic(run: SumoRun) -> Recording:
                     f"got none in {run.duration_s:g} s by {run.insertion_period_s:g} s. Choose less."
                 )
         with collect_readings():
-            traffic, _ = read_fcd(folder / "fcd.csv", run.extent_m, run.warmup_s, returning=False)
+            traffic = read_fcd(folder / "fcd.csv", run.extent_m, run.warmup_s, returning=False)
     east, north = run.origin_m
     return Recording(network, traffic).shift(-east, -north)
 

@@ -35,17 +35,15 @@ _SHIPPED_PERIOD_S, _SHIPPED_GRID_M2 = 0.44, 1060.0 * 790.0
 def procedural_site(design: SceneDesign) -> Site:
     """Streets, traffic and layout rule of a design with city ``embedded``."""
     shipped = design.size_m == DEFAULT_SIZE_M
-    said: tuple[str, ...] = ()
     reach = expand_extent(design.extent_m, VEHICLE_MARGIN_M)
     if design.uses_shipped_traffic:
         recording = load_shipped_recording()
     else:
         recording = _simulate(design, SHIPPED_PLAN if shipped else None, reach)
     if design.traffic_file:
-        traffic, changes = read_traffic(design, reach)
-        recording, said = replace(recording, traffic=traffic), changes
+        recording = replace(recording, traffic=read_traffic(design, reach))
     fill = partial(fill_streets, recording.network, design.extent_m, shipped=shipped)
-    return Site(recording, ROCHESTER, design.extent_m, fill, assumptions=said)
+    return Site(recording, ROCHESTER, design.extent_m, fill)
 
 
 def load_shipped_recording() -> Recording:

@@ -144,8 +144,8 @@ def read_traffic(
     extent_m: tuple[float, float, float, float],
     place: SceneOrigin | None = None,
     origin_m: tuple[float, float] = (0.0, 0.0),
-) -> tuple[Traffic, tuple[str, ...]]:
-    """Read a design's traffic file in ENU, and the changes made to it, one sentence each.
+) -> Traffic:
+    """Read a design's traffic file in ENU.
 
     ``extent_m`` is west, south, east, north in ENU, and ``origin_m`` the position of ENU (0, 0) in the file's
     coordinates. [m] Degrees are refused without a place, and so is a file without a vehicle in the extent.
@@ -153,18 +153,15 @@ def read_traffic(
     path = resolve_file(str(design.traffic_file))
     x, y = origin_m
     west, south, east, north = extent_m
-
     reach = (west + x, south + y, east + x, north + y)
-    traffic, changes = read_fcd(
-        path, reach, project=partial(place.project, origin_m=origin_m) if place else None
-    )
+    traffic = read_fcd(path, reach, project=partial(place.project, origin_m=origin_m) if place else None)
     if not traffic.count.size:
         raise ValueError(
             f"`{path.name}` must have a vehicle in the window, {reach[0]:.0f} to {reach[2]:.0f} m east and "
             f"{reach[1]:.0f} to {reach[3]:.0f} m north of the network's coordinates; "
             "got none. Write it without --fcd-output.utm, from the same network."
         )
-    return traffic.shift(-x, -y), changes
+    return traffic.shift(-x, -y)
 
 
 def mesh_site(design: SceneDesign) -> Site:
@@ -177,7 +174,7 @@ def mesh_site(design: SceneDesign) -> Site:
     """
     mesh_path = resolve_file(str(design.mesh_file))
     mesh = read_mesh(mesh_path, design.mesh_up, design.mesh_unit_m)
-    said = mesh.flaws
+    said: tuple[str, ...] = ()
     if design.mesh_up is None:
         said += (f"up is the mesh's {default_up(mesh_path)} axis (scene.mesh_up)",)
     if design.mesh_unit_m is None:
@@ -193,8 +190,7 @@ def mesh_site(design: SceneDesign) -> Site:
         )
     if design.traffic_file:
         reach = expand_extent(extent, VEHICLE_MARGIN_M)
-        traffic, changes = read_traffic(design, reach, given_place(design))
-        said += changes
+        traffic = read_traffic(design, reach, given_place(design))
     else:
         steps = int(np.ceil(design.traffic_duration_s / _STEP_S)) + 1
         none = {name: np.zeros(0) for name in ("bumper_east", "bumper_north", "angle")}

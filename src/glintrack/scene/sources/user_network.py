@@ -178,10 +178,8 @@ def _traffic(
     window = (centre[0] + west, centre[1] + south, centre[0] + east, centre[1] + north)
     kept = expand_extent(window, VEHICLE_MARGIN_M)
     if design.traffic_file:
-        traffic, changes = read_traffic(
-            design, expand_extent(design.extent_m, VEHICLE_MARGIN_M), place, centre
-        )
-        return Recording(near, traffic), changes
+        reach = expand_extent(design.extent_m, VEHICLE_MARGIN_M)
+        return Recording(near, read_traffic(design, reach, place, centre)), ()
     crop = expand_extent(window, _CROP_MARGIN_M)
     driven = sum(lane.line.length for lane in network.within(box(*crop)).of_kind("car"))
     period = design.traffic_insertion_period_s
@@ -242,8 +240,6 @@ def _guesses(found: Polygons, through: list[str], fill: bool) -> list[str]:
         )
     if count:
         said.append(f"roofs, walls and windows of {count} buildings are drawn by rule")
-    if found.courtyards:
-        said.append(f"{found.courtyards} rings inside others are taken for courtyards")
     if fill:
         said.append("blocks without buildings are filled with houses, shops and parks by rule")
     return [*said, "trees, gardens and parked vehicles are drawn by rule"]
