@@ -115,9 +115,14 @@ def test_the_command_writes_a_case_that_check_takes(tmp_path, monkeypatch, capsy
         return stop.value.code or 0, capsys.readouterr()
 
     file = tmp_path / "mycam.toml"
-    assert not glintrack("case", "new", file, *OPTIONS)[0]
+    code, printed = glintrack("case", "new", file, *OPTIONS)
+    assert not code and "sun 50° high (`atmosphere.date`, `atmosphere.local_time_h`)" in printed.out
     code, printed = glintrack("case", "check", file)
     assert not code and "derived: sensor.full_well_e = 11,000 e" in printed.out
+    slow = tmp_path / "slow.toml"
+    assert not glintrack("case", "new", slow, *OPTIONS[:-1], "0.5")[0]
+    for words in ((), ("--json",)):  # a bad quantity is an exit code, for scripts
+        assert glintrack("case", "check", slow, *words)[0] == 1
     before = file.read_text()
     code, printed = glintrack("case", "new", file, *OPTIONS)
     assert code == 2 and "`file` must not exist yet" in printed.err and file.read_text() == before

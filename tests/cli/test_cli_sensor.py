@@ -72,6 +72,15 @@ def test_show_says_what_follows_and_draws_the_transfer(glintrack, tmp_path):
     assert (tmp_path / "mtf.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_show_takes_a_detector_of_the_catalogue_with_its_sources(glintrack):
+    code, out, _ = glintrack("sensor", "show", "imx249")
+    assert code == 0 and "lens 68 mm F/5.6" in out
+    assert (
+        "catalogue: sensor.pitch_um = 5.86: MATRIX VISION" in out
+        and "quantum_efficiency = silicon: assumed" in out
+    )
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

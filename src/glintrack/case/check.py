@@ -4,7 +4,7 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from glintrack.case.design import Case
 from glintrack.case.quantities import (
@@ -21,7 +21,7 @@ from glintrack.io.toml import read_toml
 from glintrack.track.calibration import calibration_file
 
 Group = Literal["view", "sensor", "motion", "cost"]
-GROUPS: tuple[Group, ...] = ("view", "sensor", "motion", "cost")
+GROUPS: tuple[Group, ...] = get_args(Group)
 
 
 @dataclass(frozen=True)

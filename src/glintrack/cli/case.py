@@ -5,6 +5,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from glintrack.case.area import fit_window
 from glintrack.case.build import check_place
 from glintrack.case.check import Judgement, assess_case
 from glintrack.case.data_sheet import Polarizers, case_text
@@ -70,13 +72,15 @@ def check(
         check_waypoints(flight)
     console = Console(stderr=True) if as_json else open_console()
     recording_duration_s, fastest_m_s = design.scene.recording_duration_s, CITY_SPEED_M_S
-    if design.scene.uses_files or design.scene.panels:
+    if design.scene.uses_files or design.scene.panels or design.scene.city == "braunschweig":
         with show_wait(console, "building the city"):
             city = build_scene(design.scene)
         check_place(design.atmosphere, city)
         recording_duration_s, fastest_m_s = city.duration_s, fastest_speed_m_s(city, flight)
     check_recorded(flight, recording_duration_s)
-    judgements = assess_case(design, fastest_m_s=fastest_m_s)
+    judgements, notes = assess_case(design, fastest_m_s=fastest_m_s), tracker_notes(design)
+    if fit_window(design) is not design and find_spec("sumo") is None:
+        notes.append("the run needs SUMO for the traffic of the larger window: install the extra `traffic`")
     count = Counter(one.answer for one in judgements)
     if as_json:
         print(json.dumps([one.record() for one in judgements], indent=2, ensure_ascii=False))
@@ -87,7 +91,7 @@ def check(
         for line in (
             describe_initiation(design),
             *(f"derived: {value}" for value in derived_values(design.sensor).values()),
-            *(f"warning: {note}" for note in tracker_notes(design)),
+            *(f"warning: {note}" for note in notes),
             ", ".join(f"{count[answer]} {answer}" for answer in ("good", "doubtful", "bad")),
         ):
             console.print(line)
@@ -115,11 +119,16 @@ def new(
     focal_length: Annotated[float | None, option("Focal length [mm]")] = None,
     f_number: Annotated[float | None, option("F-number [default: 5.6]")] = None,
     off_nadir: Annotated[float, option("Angle of the line of sight from nadir [°]")] = 0.0,
-    polarizers: Annotated[Polarizers | None, option("Mosaic on the array [default: none]")] = None,
+    polarizers: Annotated[
+        Polarizers | None, option("Mosaic: four angles, or the paper's [default: none]")
+    ] = None,
     sensor: Annotated[str, option("Array of `glintrack sensor list`, instead of --pixels and --pitch")] = "",
     lens: Annotated[str, option("Lens of `glintrack sensor list`, instead of --focal-length")] = "",
 ) -> None:
-    """Write a case from the data sheet of a camera; what the sheet leaves out is derived and stated."""
+    """Write a case from the data sheet of a camera; what the sheet leaves out is derived and stated.
+
+    glintrack case new mycam.toml --pixels 2048x2048 --pitch 3.45 --focal-length 100 --altitude 2000 --rate 5
+    """
     check_output(file, ".toml", option="file")
     if file.exists():
         raise ValueError(f"`file` must not exist yet; got {file}. Choose another name.")

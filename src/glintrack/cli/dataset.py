@@ -5,8 +5,6 @@ from collections import Counter
 from pathlib import Path
 from typing import Annotated, Literal
 
-from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-
 from glintrack.cli.options import (
     Bar,
     OutsidePathsOption,
@@ -57,11 +55,12 @@ def build(
     if dry_run:
         return
     begun = time.perf_counter()
-    columns = TextColumn("simulating {task.description}"), BarColumn(), TimeRemainingColumn()
-    with Bar(console, *columns, transient=True) as bar:
-        task = bar.add_task("…", total=plan.frames)
+    with Bar(console, transient=True) as bar:
+        task = bar.add_task("simulating", total=plan.frames)
         made = build_dataset(
-            plan, output, lambda shard, count: bar.update(task, completed=count, description=shard.name)
+            plan,
+            output,
+            lambda shard, count: bar.update(task, completed=count, description=f"simulating {shard.name}"),
         )
     took = time.perf_counter() - begun
     size = sum(p.stat().st_size for p in output.rglob("*") if p.is_file())
