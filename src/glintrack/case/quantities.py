@@ -8,6 +8,7 @@ Light on the ground is that of a clear sky by SPCTRAL2, seen through haze by Kos
 import math
 import os
 import warnings
+from typing import NamedTuple
 
 import numpy as np
 import pvlib
@@ -149,12 +150,20 @@ def haze_transmittance(case: Case) -> float:
     return math.exp(-(aerosol + rayleigh) / math.cos(math.radians(_off_nadir_deg(case))))
 
 
-def light_quantities(case: Case) -> dict[str, float]:
-    """Derive the filling of the well and signal-to-noise ratios in the case's sun and haze. [1]
+class GroundLight(NamedTuple):
+    """Electrons of a white ground and of haze on an element, and well filling by white paint. [e, e, 1]"""
 
-    ``car_contrast`` is the mean contrast of a blue car to worn asphalt over the noise of that mean, over all
-    elements on the car. Haze adds light, and so noise.
-    """
+    white_e: float
+    haze_e: float
+    well_fill: float
+
+    def electrons(self, reflectance: float) -> float:
+        """Mean electrons of a ground of a reflectance, seen through the haze. [e]"""
+        return self.white_e * reflectance + self.haze_e
+
+
+def ground_light(case: Case) -> GroundLight:
+    """Derive the electrons of an element in the case's sun and haze, at the exposure that is used."""
     sensor, um = case.sensor, np.asarray(case.atmosphere.wavelength_um)
     bare = any(what in (OPEN, MIRROR) for row in sensor.superpixel for what in row)
     if bare or not sensor.has_stokes:
@@ -163,7 +172,7 @@ def light_quantities(case: Case) -> dict[str, float]:
         response = analyser_response(sensor, load_polarizer(sensor), um)[0]
     weights = quadrature_weights(um) * um * response
     if not weights.sum() > 0:
-        return dict.fromkeys(("well_fill", "road_snr", "car_contrast"), 0.0)
+        return GroundLight(0.0, 0.0, 0.0)
     radiance = float(weights @ ground_irradiance(case, um) / weights.sum()) / math.pi  # of a white ground
     white_e = radiance * photon_gain(sensor, um, response)
     passed = haze_transmittance(case)
@@ -173,13 +182,24 @@ def light_quantities(case: Case) -> dict[str, float]:
     if automatic.quantile:  # the exposure that the light would lead to
         longest = automatic.longest_ms / sensor.integration_time_ms
         factor = min(FULL_SHARE / fill, longest)
-    signal_e, haze_e = factor * white_e * passed, factor * haze_e
-    noise_e = float(np.sqrt(sensor.noise_variance_e2(signal_e * ROAD + haze_e)))
+    return GroundLight(factor * white_e * passed, factor * haze_e, factor * fill)
+
+
+def light_quantities(case: Case) -> dict[str, float]:
+    """Derive the filling of the well and signal-to-noise ratios in the case's sun and haze. [1]
+
+    ``car_contrast`` is the mean contrast of a blue car to worn asphalt over the noise of that mean, over all
+    elements on the car. Haze adds light, and so noise.
+    """
+    light = ground_light(case)
+    if not light.well_fill > 0:
+        return dict.fromkeys(("well_fill", "road_snr", "car_contrast"), 0.0)
+    noise_e = float(np.sqrt(case.sensor.noise_variance_e2(light.electrons(ROAD))))
     elements = view_quantities(case)["elements_on_car"]
     return {
-        "well_fill": factor * fill,
-        "road_snr": signal_e * ROAD / noise_e,
-        "car_contrast": signal_e * (ROAD - CAR) / noise_e * math.sqrt(max(elements, 1.0)),
+        "well_fill": light.well_fill,
+        "road_snr": light.white_e * ROAD / noise_e,
+        "car_contrast": light.white_e * (ROAD - CAR) / noise_e * math.sqrt(max(elements, 1.0)),
     }
 
 

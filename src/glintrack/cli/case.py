@@ -21,6 +21,7 @@ from glintrack.case.check import Judgement, assess_case
 from glintrack.case.data_sheet import Polarizers, case_text
 from glintrack.case.design import Case
 from glintrack.case.fitted_range import describe_initiation, tracker_notes
+from glintrack.case.niirs import NOT_TRACKING, describe_niirs
 from glintrack.case.packaged import find_case, list_cases, list_studies
 from glintrack.case.quantities import CITY_SPEED_M_S, fastest_speed_m_s
 from glintrack.cli.options import (
@@ -89,6 +90,8 @@ def check(
         console.print(f"{path} is a valid case: {frames} over the city {design.scene.city}")
         print_judgements(console, judgements)
         for line in (
+            describe_niirs(design),
+            NOT_TRACKING,
             describe_initiation(design),
             *(f"derived: {value}" for value in derived_values(design.sensor).values()),
             *(f"warning: {note}" for note in notes),

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from glintrack.case.build import trace_frame
 from glintrack.case.check import assess_case
 from glintrack.case.design import Case, read_table
+from glintrack.case.niirs import NOT_TRACKING, describe_niirs
 from glintrack.case.packaged import find_case
 from glintrack.cli.case import print_judgements
 from glintrack.cli.options import (
@@ -97,8 +98,10 @@ def show(
             console.print(f"catalogue: sensor.{key} = {value}: {arrays[found.ready].source(key)}")
     for line in derived_values(found).values():
         console.print(f"derived: {line}")
-    judged = assess_case(Case().model_copy(update={"sensor": found}), ("sensor",))
+    case = Case().model_copy(update={"sensor": found})
+    judged = assess_case(case, ("sensor",))
     print_judgements(console, [one for one in judged if one.name != "car_contrast"])  # which needs a flight
+    console.print(f"in the case quickstart: {describe_niirs(case)}\n{NOT_TRACKING}")
     if mtf is not None:
         figure = Figure(figsize=(7, 4.5), layout="constrained")
         draw_transfer(figure.subplots(), transfer_curves(sensor.design))
