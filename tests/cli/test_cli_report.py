@@ -17,10 +17,23 @@ def test_report_writes_one_file(monkeypatch, folder, tmp_path, capsys):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.html", "result"]
 
 
-def test_report_says_what_is_missing(monkeypatch, folder, tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("content", "reason"), [(None, "result.nc is missing"), (b"no NetCDF", "result.nc cannot be read")]
+)
+def test_a_result_that_cannot_be_read_is_one_sentence(monkeypatch, folder, tmp_path, capsys, content, reason):
     (folder / "result.nc").unlink()
+    if content:
+        (folder / "result.nc").write_bytes(content)
+    assert program(monkeypatch, "report", folder, "-o", tmp_path / "out.html") == 2
+    said = capsys.readouterr().err
+    assert f"`result` must be a finished result; got {folder}: {reason}" in said and said.count("\n") == 1
+    assert not (tmp_path / "out.html").exists()
+
+
+def test_report_says_what_is_missing(monkeypatch, folder, tmp_path, capsys):
+    (folder / "case.toml").unlink()
     assert program(monkeypatch, "report", folder, "-o", tmp_path / "out.html") == 0
-    assert "note: result.nc is missing" in capsys.readouterr().out
+    assert "note: case.toml is missing" in capsys.readouterr().out
 
 
 def test_video_writes_a_gif(monkeypatch, folder, tmp_path):

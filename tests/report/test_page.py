@@ -9,13 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from markupsafe import escape
 
 from glintrack import Case
+from glintrack.bounds import STAGES
 from glintrack.io.netcdf import write_tree
 from glintrack.report import build_page
-from glintrack.report.page import design_rows, flatten, in_code, script_json
+from glintrack.report.page import design_rows, flatten, in_code, read_terms, script_json
 from glintrack.report.page_data import budget_bars, encode, page_data, plan
-from glintrack.results.read import read_result
+from glintrack.results.read import SCORE_LABELS, read_result
 from tests.report import made
 
 
@@ -90,31 +92,41 @@ def add_loss_budget(folder, group: str = "pan", attrs: Mapping[str, float] | Non
 def test_the_loss_budget_stands_on_the_page_where_there_is_one(folder):
     assert 'id="loss-budget"' not in build_page(read_result(folder))
     html = build_page(add_loss_budget(folder))
-    assert '<th scope="row">background known</th><td>0.5</td>' in html
-    assert '<th scope="row">tracker</th>' not in html
+    assert re.search(r'<th scope="row">background known<small>[^<]+</small></th><td>0.5</td>', html)
+    assert '<th scope="row">tracker<' not in html
     evil = build_page(add_loss_budget(folder, group="<img src=x>"))
     assert "<img src=x>" not in evil and "&lt;img src=x&gt;" in evil
 
 
-def test_the_first_screen_has_verdict_loss_budget_facts_north_sun_and_scale(folder):
+def test_the_first_screen_has_headline_loss_budget_facts_north_sun_and_scale(folder):
     html = build_page(add_loss_budget(folder))
     first = html[html.index("<header>") : html.index("</header>")]
-    assert "Pan tracks 45 of 100 moving vehicles" in first
-    labels = re.findall(r'<th scope="row">(.*?)</th><td class="bar-of"><span style="width: (.*?)%">', first)
+    assert "<strong>45</strong> of 100 moving vehicles in the window are tracked" in first
+    assert "stand close together: 100 are left before this stage, 50 after it." in first
+    assert "per 100 moving vehicles in the window" in first and "visible vehicles" not in first
+    labels = re.findall(r'<th scope="row">([^<]*)<.*?<span style="width: (.*?)%">', first)
     assert labels == [("moving in the scored area", "100.0"), ("background known", "50.0")]
-    told = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first))
+    assert first.count("largest lasting loss") == 1
+    told = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first.partition('id="facts"')[2]))
     assert list(told) == ["case", "flight", "sun", "altitude", "off nadir", "an element sees"]
     assert told["case"] == "small" and told["sun"].endswith("azimuth 251°")
     assert ">N</text>" in first and ">sun 251°</text>" in first and ">20 m</text>" in first
     assert "The window, 120 m × 80 m, north up" in first and "data:image/webp" in first
 
 
-def test_without_a_loss_budget_the_first_screen_shows_scores(folder):
+def test_without_a_loss_budget_the_first_screen_shows_channels_and_how_to_get_one(folder):
     caption, bars = budget_bars(read_result(folder))
-    assert caption == "Of 100 vehicles, pan"
-    assert [(bar.label, bar.per_hundred, bar.last) for bar in bars] == [
-        ("completeness of all movers", 45.0, True)
-    ]
+    assert caption == "Of 100 moving vehicles, how many each channel tracks"
+    assert [(bar.label, bar.per_hundred, bar.last) for bar in bars] == [("pan", 45.0, True)]
+    assert "<code>glintrack bound case.toml</code>" in build_page(read_result(folder))
+
+
+def test_every_stage_and_score_is_explained(folder):
+    terms = read_terms()
+    assert set(terms["stages"]) == set(STAGES) and set(terms["scores"]) == set(SCORE_LABELS)
+    html = build_page(add_loss_budget(folder))
+    assert all(str(escape(text)) in html for text in (*terms["scores"].values(), *terms["terms"].values()))
+    assert "NIIRS rates one picture and does not predict tracking" in html
 
 
 def test_the_suns_arrow_points_to_where_it_stands():

@@ -48,6 +48,11 @@ def report(
         console.print(f"wrote {output}: links lead to {result / 'cases'}")
         return
     found = read_result(result)
+    if found.tree is None:
+        raise ValueError(
+            f"`result` must be a finished result; got {result}: {found.notes[0]} `glintrack view` shows its "
+            "other parts."
+        )
     text = build_page(found, base)
     atomic.write_text(output, text)
     print_notes(console, found.notes)

@@ -5,9 +5,12 @@ set as text by the page's program.
 """
 
 import base64
+import contextlib
 import json
 import math
+import tomllib
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib.resources import files
 from typing import NamedTuple
 
@@ -16,9 +19,19 @@ from markupsafe import Markup, escape
 
 from glintrack.bounds import STAGE_LABELS, STAGES_NOTE
 from glintrack.case.design import Case
+from glintrack.case.niirs import NOT_TRACKING, describe_niirs
 from glintrack.case.packaged import find_case, find_packaged_case
 from glintrack.report.page_data import budget_bars, page_data, plan
-from glintrack.results.read import Result, film_file, picture_file, picture_url, score_rows, score_text
+from glintrack.results.headline import headline
+from glintrack.results.read import (
+    SCORE_LABELS,
+    Result,
+    film_file,
+    picture_file,
+    picture_url,
+    score_rows,
+    score_text,
+)
 from glintrack.results.verdict import (
     CHANNEL_WORDS,
     accuracy_lines,
@@ -74,11 +87,13 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
     if {"frames_done", "frames_asked"} <= set(result.provenance):
         facts["frames simulated"] = "{frames_done} of {frames_asked}".format(**result.provenance)
     accuracy = {} if result.tree is None else accuracy_lines(result.tree)
+    first, terms = headline(result), read_terms()
     return render_page(
         "report.html.j2",
         scripts=("theme.js", "core.js", "plots.js", "charts.js", "film.js", "track.js", "report.js"),
         title=data["name"],
         verdict=result.verdict,
+        headline=None if first is None else {k: in_code(text) for k, text in asdict(first).items()},
         other_channels=describe_other_channels(result.scores),
         reservations=[in_code(text) for text in result.reservations],
         facts=facts | _changes(rows, name),
@@ -94,13 +109,17 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         policy_pictures="data:" if inline else "'self' data:",
         counts=_counts(result, data),
         scores=score_rows({name: part["scores"] for name, part in data["channels"].items()}),
+        terms=terms,
+        score_terms={SCORE_LABELS[key]: meaning for key, meaning in terms["scores"].items()},
+        stage_terms={STAGE_LABELS[key]: meaning for key, meaning in terms["stages"].items()},
+        niirs=[] if result.case is None else _niirs(result.case),
         score_columns=[CHANNEL_WORDS.get(name, name) for name in data["channels"]],
         loss_budget=budget_rows(budgets),
         stages_note=STAGES_NOTE,
         budget_columns=[CHANNEL_WORDS.get(name, name) for name in budgets],
         accuracy=[(CHANNEL_WORDS.get(g, g), line) for g, line in accuracy.items()],
         froc_rows=[
-            [name, *(f"{row[0]:g}", *map(score_text, row[1:]))]
+            [CHANNEL_WORDS.get(name, name), *(f"{row[0]:g}", *map(score_text, row[1:]))]
             for name, part in data["channels"].items()
             for row in (part["froc"] or {"table": []})["table"]
         ],
@@ -126,6 +145,11 @@ def render_page(template: str, scripts: tuple[str, ...], **values: object) -> st
         programs=[Markup(_part(name)) for name in ("uPlot.iife.min.js", *scripts)],
         **values,
     )
+
+
+def read_terms() -> dict[str, dict[str, str]]:
+    """Explanations of stages, scores and other terms."""
+    return tomllib.loads(_part("terms.toml"))
 
 
 def script_json(value: object) -> Markup:
@@ -210,6 +234,13 @@ def _base_case(case: Case | None, base: str | None) -> tuple[str, Case]:
     if case is None or packaged is None:
         return DEFAULTS, Case()
     return f"the packaged case {case.name}", Case.from_toml(packaged)
+
+
+def _niirs(case: Case) -> list[Markup]:
+    """Sentences about NIIRS; none if a file that the sensor names is not here."""
+    with contextlib.suppress(OSError, ValueError):
+        return [in_code(f"{describe_niirs(case)}."), in_code(NOT_TRACKING)]
+    return []
 
 
 def _part(name: str) -> str:

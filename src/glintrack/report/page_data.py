@@ -1,7 +1,7 @@
 """Data of the report page as plain values: first screen, rows in base64, curves as lists.
 
-The loss budget of the first screen is that of the channel in the verdict. Without one, its bars are scores:
-completeness of all movers, of the visible ones, and custody.
+The loss budget of the first screen is that of the channel in the verdict. Without one, its bars are the
+completeness of each channel. Both are shares of all moving vehicles.
 """
 
 import base64
@@ -28,37 +28,40 @@ SPECTRA_PER_TRACK = 6
 MAX_SPECTRA = 6_000
 _FINE = 32_000  # steps of a track's brightest radiance
 _CURVES = ("completeness", "purity", "false_tracks", "should", "valid", "queries_asked", "queries_served")
-_SCORE_BARS = ("completeness", "completeness_visible", "custody")
 _BAR_SHARE = 0.3  # maximum length of the scale bar, of the window's width
 _ARROW = 7.0  # length of the sun's arrow, of a plan 100 wide
 
 
 @dataclass(frozen=True)
 class BudgetBar:
-    """Label of a stage, its share of 100 vehicles, and whether it is the last."""
+    """Stage or channel with its label, its share of 100 moving vehicles, and whether it is the answer."""
 
+    key: str
     label: str
     per_hundred: float
     last: bool = False
 
 
 def budget_bars(result: Result) -> tuple[str, list[BudgetBar]]:
-    """Caption and bars of the channel in the verdict; empty without scores."""
+    """Caption and bars of the channel in the verdict, or of all channels without a loss budget."""
     name = select_channel(result.scores)
     if name is None or result.tree is None:
         return "", []
     stages = stage_shares(result.tree).get(name, {})
     if len(stages) > 1:
-        bars = [
-            BudgetBar(STAGE_LABELS.get(r, r.replace("_", " ")), 100 * share) for r, share in stages.items()
-        ]
-        caption = f"Of 100 moving vehicles, {CHANNEL_WORDS.get(name, name)}, on {budget_frames(result.tree)}"
+        labels = {stage: STAGE_LABELS.get(stage, stage.replace("_", " ")) for stage in stages}
+        caption = (
+            f"Loss budget of {CHANNEL_WORDS.get(name, name)}: of 100 moving vehicles, how many are left at "
+            f"each stage. On {budget_frames(result.tree)}: its last row can differ from the number above."
+        )
+        answer = list(stages)[-1]
     else:
-        of = result.scores[name]
-        known = [key for key in _SCORE_BARS if math.isfinite(of.get(key, math.nan))]
-        bars = [BudgetBar(SCORE_LABELS[key], 100 * of[key]) for key in known]
-        caption = f"Of 100 vehicles, {CHANNEL_WORDS.get(name, name)}"
-    return caption, [*bars[:-1], *(BudgetBar(b.label, b.per_hundred, last=True) for b in bars[-1:])]
+        stages = {k: of.get("completeness", math.nan) for k, of in result.scores.items()}
+        stages = {k: share for k, share in stages.items() if math.isfinite(share)}
+        labels = {k: CHANNEL_WORDS.get(k, k) for k in stages}
+        caption = "Of 100 moving vehicles, how many each channel tracks"
+        answer = name
+    return caption, [BudgetBar(k, labels[k], 100 * share, k == answer) for k, share in stages.items()]
 
 
 def plan(extent_m: Extent, azimuth_deg: float | None, picture: str = "") -> dict:

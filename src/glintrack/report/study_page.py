@@ -6,6 +6,7 @@
 
 import math
 import os
+import re
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -15,8 +16,10 @@ from urllib.parse import quote
 import numpy as np
 import pandas as pd
 
-from glintrack.report.page import flatten, in_code, render_page, script_json
+from glintrack.core.schema import CHANNEL_WORDS
+from glintrack.report.page import flatten, in_code, read_terms, render_page, script_json
 from glintrack.study import analyse, read_results
+from glintrack.study.analysis import CHANCE, labels
 from glintrack.study.report import view_notes
 from glintrack.study.text_tables import (
     NAMES,
@@ -25,6 +28,7 @@ from glintrack.study.text_tables import (
     comparison_tables,
     importance_table,
     narrow_intervals,
+    study_headline,
 )
 
 HEAD = "study.json"
@@ -60,8 +64,10 @@ def build_study_page(folder: str | Path, page_folder: str | Path) -> str:
     columns += [c for c in (*responses, "data_rate_mbit_s") if c in table]
     done = table["status"] == "finished"
     tables = analyse(table, source) if done.any() else {}
-    plots = _plots(tables)
     varied = [axis for axis in axes if table[axis].nunique() > 1]
+    plots, first = _plots(tables, varied), study_headline(tables)
+    if "points" in tables:
+        tables["points"]["point"] = [shorten_design(point, axes) for point in tables["points"]["point"]]
     matters = importance_table(tables)
     values = [[_plain(v) for v in row] for row in table[columns].itertuples(index=False)]
     links = {key: _link(folder, str(key), Path(page_folder)) for key in table["case"].unique()}
@@ -74,18 +80,22 @@ def build_study_page(folder: str | Path, page_folder: str | Path) -> str:
         scripts=("theme.js", "plots.js", "study.js"),
         title=str(source["design"].get("name") or folder.resolve().name),
         notes=_notes(table, source),
+        headline=None if first is None else {k: in_code(text) for k, text in first._asdict().items()},
         answer=in_code(answer(tables)) if tables else "",
         narrow=in_code(narrow_intervals(table, source)) if matters else "",
         reservations=[in_code(note) for note in view_notes(tables["views"])] if "views" in tables else [],
         matters=matters,
         text_tables=comparison_tables(tables),
         has_points="points" in tables,
+        base=_base_design(table, varied),
         has_parallel=bool(tables) and bool(varied) and bool(responses),
         has_plots=bool(plots),
         counts=_counts(table),
         columns=[NAMES.get(c, c) for c in columns],
         link_column=columns.index("case"),
         rows=cells,
+        terms=read_terms(),
+        score_terms={NAMES[key]: text for key, text in read_terms()["scores"].items() if key in NAMES},
         provenance=flatten(dict(source)),
         data=script_json(
             {
@@ -100,6 +110,32 @@ def build_study_page(folder: str | Path, page_folder: str | Path) -> str:
             }
         ),
     )
+
+
+def shorten_design(point: str, axes: Sequence[str]) -> str:
+    """Name of a design with keys by their last part, three digits, and without seeds.
+
+    Parameters
+    ----------
+    point
+        Its differences from the first design, as "sensor.pitch_um = 8.51234, seed = 7".
+    axes
+        Keys and labels that the study varies.
+    """
+    last = [axis.rpartition(".")[2] for axis in axes]
+    short = point
+    for axis, name in zip(axes, last, strict=True):
+        if axis in CHANCE:
+            short = re.sub(rf"(^|, ){re.escape(axis)} = [^,]*", "", short)
+        elif last.count(name) == 1:
+            short = re.sub(rf"(^|, ){re.escape(axis)} = ", rf"\g<1>{name} = ", short)
+    return re.sub(r"-?\d+\.\d{3,}", lambda found: f"{float(found[0]):.3g}", short).lstrip(", ") or point
+
+
+def _base_design(table: pd.DataFrame, varied: Sequence[str]) -> str:
+    """Levels of the first design on the axes that vary, without seeds; empty for a single axis."""
+    levels = [f"{axis} = {table[axis].iloc[0]}" for axis in varied if axis not in CHANCE]
+    return shorten_design(", ".join(levels), varied) if len(levels) > 1 else ""
 
 
 def _notes(table: pd.DataFrame, source: Mapping[str, Any]) -> list[str]:
@@ -137,12 +173,12 @@ def _records(tables: Mapping[str, pd.DataFrame], name: str, columns: Sequence[st
     return [{key: _plain(v) for key, v in row.items()} for row in tables[name][names].to_dict("records")]
 
 
-def _plots(tables: Mapping[str, pd.DataFrame]) -> list[dict]:
-    """FROC curves of a swept threshold, and Pareto fronts over the data rate."""
+def _plots(tables: Mapping[str, pd.DataFrame], axes: Sequence[str]) -> list[dict]:
+    """FROC curves of a swept threshold, and Pareto fronts over the data rate with numbered designs."""
     out = []
     if "froc" in tables and len(tables["froc"]):
         lines = [
-            _line(part.sort_values("false_per_frame"), "false_per_frame", "completeness", *names)
+            _line(part.sort_values("false_per_frame"), ("false_per_frame", "completeness"), *names)
             for names, part in tables["froc"].groupby(["group", "channel"], sort=False)
         ]
         drawn = _plot("FROC: completeness against false tracks", "false_per_frame", "completeness", lines)
@@ -151,11 +187,18 @@ def _plots(tables: Mapping[str, pd.DataFrame]) -> list[dict]:
     for gain in ("completeness", "purity"):
         if found is None or found["data_rate_mbit_s"].nunique() < 2:
             continue
-        lines = []
-        for channel, part in found.groupby("channel", sort=False):
-            part = part.sort_values("data_rate_mbit_s")
-            lines.append(_line(part, "data_rate_mbit_s", gain, "", channel, part[f"{gain}_front"]))
-        out.append(_plot(f"{NAMES[gain]} against data rate, front joined", "data_rate_mbit_s", gain, lines))
+        named = found.assign(design=[shorten_design(one, axes) for one in labels(found[list(axes)])])
+        named = named.sort_values("data_rate_mbit_s")
+        front = list(dict.fromkeys(named.loc[named[f"{gain}_front"], "design"]))
+        named["number"] = [str(front.index(one) + 1) if one in front else "" for one in named["design"]]
+        lines = [
+            _line(part, ("data_rate_mbit_s", gain), "", channel, part[f"{gain}_front"])
+            for channel, part in named.groupby("channel", sort=False)
+        ]
+        title = (
+            f"{NAMES[gain]} against data rate; the lines join each Pareto front, the numbers name its designs"
+        )
+        out.append(_plot(title, "data_rate_mbit_s", gain, lines) | {"numbered": front})
     return out
 
 
@@ -164,11 +207,12 @@ def _plot(title: str, x: str, y: str, lines: Sequence[dict]) -> dict:
 
 
 def _line(
-    part: pd.DataFrame, x: str, y: str, group: object, channel: object, joined: pd.Series | None = None
+    part: pd.DataFrame, axes: tuple[str, str], group: object, channel: object, joined: pd.Series | None = None
 ) -> dict:
-    points = part[[x, y]].dropna()
-    front = points if joined is None else part[joined][[x, y]].dropna()
-    label = f"{channel} {group}".strip()
+    columns = [*axes, *(name for name in ("design", "number") if name in part)]
+    points = part[columns].dropna()
+    front = points if joined is None else part[joined][columns].dropna()
+    label = f"{CHANNEL_WORDS.get(str(channel), str(channel))} {group}".strip()
     rows = {name: [[_plain(v) for v in row] for row in of.to_numpy()]
             for name, of in (("points", points), ("joined", front))}  # fmt: skip
     return {"label": label, "channel": str(channel), **rows}

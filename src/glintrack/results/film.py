@@ -1,7 +1,8 @@
 """Film of a flight: small pictures of every frame, in colours that are safe for colour-blind eyes.
 
-Natural colour, pan radiance, degree and angle of polarization on the ground grid, as WebP. They show the
-first channel's frames: the channels differ only in the mirrors of their queries.
+Natural colour, pan radiance, degree and angle of polarization on the ground grid, as WebP. The angle is the
+colour and the degree the brightness, since most of the ground has nearly one angle. They show the first
+channel's frames: the channels differ only in the mirrors of their queries.
 """
 
 import io
@@ -24,6 +25,8 @@ from glintrack.stokes import aop
 KINDS = ("rgb", "pan", "dolp", "aop")
 FILM_BYTES = 18_000_000  # all pictures together; in base64, with its tables, a page stays under 40 MB
 MIN_AOP_DOLP = 0.02  # an angle of less polarized light is mostly noise, and shown as no data
+FULL_AOP_DOLP = 0.15  # the brightest in the picture of the angle
+_MIN_BRIGHTNESS = 0.25
 _NO_DATA = tuple(int(NO_DATA[k : k + 2], 16) for k in (1, 3, 5))
 # longest side [pixel] and WebP quality, from the best to the smallest
 _LEVELS = (
@@ -113,6 +116,7 @@ class Film:
             "pan_range": list(self.pan_range),
             "dolp_highest": MAX_DOLP,
             "aop_least_dolp": MIN_AOP_DOLP,
+            "aop_full_dolp": FULL_AOP_DOLP,
         }
 
 
@@ -124,15 +128,20 @@ def picture_name(kind: str, frame: int) -> str:
 def colour_pictures(image: xr.Dataset, pan_range: tuple[float, float]) -> dict[str, UInt8[Array, "y x 3"]]:
     """Pan, DoLP and AoP of a rectified frame in colours; grey-blue where there is no data.
 
-    DoLP runs from 0 to `MAX_DOLP`, AoP from 0 to π in the ``meridian`` frame.
+    DoLP runs from 0 to `MAX_DOLP`, AoP from 0 to π in the ``meridian`` frame. AoP is the colour, and the root
+    of DoLP the brightness.
     """
     low, high = pan_range
     pan, degree = image["pan"].values, image["dolp"].values
     angle = np.where(degree >= MIN_AOP_DOLP, aop(np.nan_to_num(image["stokes_radiance"].values)), np.nan)
     scaled = {"pan": (pan - low) / (high - low)}
-    if np.isfinite(degree).any():  # a sensor without polarizers has none to show
-        scaled |= {"dolp": degree / MAX_DOLP, "aop": angle / math.pi}
-    return {kind: _apply_colour_map(values, OF_CHANNEL[kind]) for kind, values in scaled.items()}
+    if not np.isfinite(degree).any():  # a sensor without polarizers has none to show
+        return {"pan": _apply_colour_map(scaled["pan"], OF_CHANNEL["pan"])}
+    scaled |= {"dolp": degree / MAX_DOLP, "aop": angle / math.pi}
+    found = {kind: _apply_colour_map(values, OF_CHANNEL[kind]) for kind, values in scaled.items()}
+    brightness = np.sqrt(np.clip(np.nan_to_num(degree) / FULL_AOP_DOLP, _MIN_BRIGHTNESS**2, 1))
+    shaded = np.round(found["aop"] * brightness[..., None]).astype(np.uint8)
+    return found | {"aop": np.where(np.isfinite(angle)[..., None], shaded, found["aop"])}
 
 
 def encode(picture: UInt8[Array, "y x 3"], longest_side: int, quality: int) -> bytes:
@@ -166,6 +175,7 @@ class FilmIndex(BaseModel):
     pan_range: tuple[_Figure, _Figure] = (0.0, 1.0)
     dolp_highest: _Figure = MAX_DOLP
     aop_least_dolp: _Figure = MIN_AOP_DOLP
+    aop_full_dolp: _Figure = 0.0  # of a film with one brightness
     channel: str = ""
 
     @model_validator(mode="after")

@@ -20,24 +20,14 @@ from glintrack.case.quantities import ground_view
 from glintrack.core.schema import CHANNEL_WORDS, MIN_SCORED_S
 from glintrack.metrics.requirement import MIN_FRAMES, is_too_short
 from glintrack.results.collect import scored_times
+from glintrack.results.losses import LOSSES, largest_loss
 
-_LOSSES = {
-    "in_view": "vehicles outside the frame",
-    "visible": "occlusion by buildings and trees",
-    "ideal_observer": "sensor noise",
-    "known_background": "vehicles that stand close together",
-    "predicted_background": "background prediction from past frames (edges, parallax, mosaic)",
-    "reported_pose": "navigation errors",
-    "detector": "detection",
-    "tracker": "association and reporting",
-}
 _MIN_IN_VIEW = 0.75  # share of the movers in the frame, below which the small field is a reservation
 _MAX_DIFFERENCE = 0.015  # between the tracker's stage and completeness, without a reservation
 _AREAS = {"window": "in the window", "footprint": "in the frame", "polygon": "in the scored polygon"}
 _MIN_MOVERS = 15  # in the scored area at a time, below which shares change by a tenth with one of them
 _MAX_WAIT = 0.15  # share of the frames before the first track, without a reservation
 _MAX_FALSE_RATIO = 3.0  # of the share of false tracks to its limit, without a reservation
-_MEMORY = ("predicted_background", "reported_pose", "detector")  # may be lower than the stages after them
 
 
 def select_channel(scores: Mapping[str, Mapping[str, float]]) -> str | None:
@@ -69,27 +59,30 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
             CHANNEL_WORDS.get(k, k): float(of.get("false_per_km2", math.nan)) for k, of in scores.items()
         }
         rates = [f"{_count(n)} in {words}" for words, n in false.items() if math.isfinite(n)]
-        said = f"No vehicle moves {_where(tree)}. False tracks per km²: {', '.join(rates)}." * bool(rates)
-        return (_undecided(tree, next(iter(scores))) + said).strip() if scores else ""
+        said = f"No vehicle moves {scored_area(tree)}. False tracks per km²: {', '.join(rates)}." * bool(
+            rates
+        )
+        return (describe_undecided(tree, next(iter(scores))) + said).strip() if scores else ""
     of = scores[name]
     visible, custody, false = (
         float(of.get(k, math.nan)) for k in ("completeness_visible", "custody", "false_per_km2")
     )
     lag_s = float(_attributes(tree, name).get("report_lag_s", 0.0))
-    text = f"{_subject(name)} {_per_hundred(of['completeness'])} of 100 moving vehicles {_where(tree)}"
+    text = f"{describe_subject(name)} {per_hundred(of['completeness'])} of 100 moving vehicles"
+    text += f" {scored_area(tree)}"
     if "completeness_window" in _attributes(tree, name):
-        text += f" ({_per_hundred(tree[name].attrs['completeness_window'])} of 100 in the whole window)"
-    text += f", {_per_hundred(visible)} of 100 visible ones" if math.isfinite(visible) else ""
+        text += f" ({per_hundred(tree[name].attrs['completeness_window'])} of 100 in the whole window)"
+    text += f", {per_hundred(visible)} of 100 visible ones" if math.isfinite(visible) else ""
     text += f", with {_count(false)} false tracks per km²" if math.isfinite(false) else ""
-    mean_of = _frames(int(_attributes(tree, name).get("frames", 0))) or "all frames"
+    mean_of = describe_frames(int(_attributes(tree, name).get("frames", 0))) or "all frames"
     lag = f", fixed lag {lag_s:g} s" if lag_s else ""
-    parts = [f"{_undecided(tree, name)}{text} (mean of {mean_of}{lag})"]
+    parts = [f"{describe_undecided(tree, name)}{text} (mean of {mean_of}{lag})"]
     if math.isfinite(custody):
-        parts.append(f"One track stays on a vehicle for {_per_hundred(custody)} % of its visible time")
-    return ". ".join([*parts, *_largest_loss(stage_shares(tree).get(name, {}))]) + "."
+        parts.append(f"One track stays on a vehicle for {per_hundred(custody)} % of its visible time")
+    return ". ".join([*parts, *_describe_losses(stage_shares(tree).get(name, {}))]) + "."
 
 
-def _undecided(tree: xr.DataTree, name: str) -> str:
+def describe_undecided(tree: xr.DataTree, name: str) -> str:
     """Sentence before the scores of a run that is too short to judge a design; else empty."""
     scored_s = scored_times(tree, name)
     length_s = float(np.ptp(scored_s)) if len(scored_s) else 0.0
@@ -100,7 +93,8 @@ def _undecided(tree: xr.DataTree, name: str) -> str:
     return f"Undecided: the run is too short. After learning the background {left} are left; {needed}. "
 
 
-def _where(tree: xr.DataTree) -> str:
+def scored_area(tree: xr.DataTree) -> str:
+    """Words for the scored area, such as "in the window"."""
     return _AREAS.get(str(tree.attrs.get("area")), _AREAS["window"])
 
 
@@ -119,8 +113,8 @@ def describe_other_channels(scores: Mapping[str, Mapping[str, float]]) -> str:
         )
         if math.isfinite(visible) and math.isfinite(false):
             parts.append(
-                f"{_subject(name)} {_per_hundred(visible)} of 100 visible vehicles, with {_count(false)} "
-                "false tracks per km²."
+                f"{describe_subject(name)} {per_hundred(visible)} of 100 visible vehicles, with "
+                f"{_count(false)} false tracks per km²."
             )
     return " ".join(["On the same frames:", *parts]) if parts else ""
 
@@ -160,7 +154,7 @@ def budget_frames(tree: xr.DataTree) -> str:
     count = max((len(np.atleast_1d(of.attrs.get("frames", []))) for of in _budgets(tree).values()), default=0)
     if "frames_done" in tree.attrs:
         return f"{count or 'the measured'} of the {tree.attrs['frames_done']} frames"
-    return _frames(count) or "the measured frames"
+    return describe_frames(count) or "the measured frames"
 
 
 def stage_shares(tree: xr.DataTree) -> dict[str, dict[str, float]]:
@@ -208,7 +202,7 @@ def view_facts(case: Case) -> dict[str, str]:
     elevation, azimuth = sun_angles_deg(case)
     from_sun = f"{flight.azimuth_from_sun_deg:g}".replace("-", "−")
     return {
-        "flight": f"{_frames(flight.frames)} at {flight.rate_hz:g} Hz",
+        "flight": f"{describe_frames(flight.frames)} at {flight.rate_hz:g} Hz",
         "sun": f"{elevation:.0f}° high, azimuth {azimuth:.0f}°",
         "altitude": f"{flight.altitude_m:.0f} m",
         "off nadir": f"{flight.off_nadir_deg:g}°, {from_sun}° from the sun's azimuth",
@@ -222,23 +216,14 @@ def sun_angles_deg(case: Case) -> tuple[float, float]:
     return 90 - zenith, azimuth
 
 
-def _largest_loss(budget: Mapping[str, float]) -> Iterator[str]:
-    known = budget.get("known_background")
+def _describe_losses(budget: Mapping[str, float]) -> Iterator[str]:
+    known, loss = budget.get("known_background"), largest_loss(budget)
     if known is not None:
-        yield f"If the background were known, {_per_hundred(known)} of 100 moving vehicles could be found"
-    steps, ends, before = {}, {}, 1.0
-    stages = list(budget)
-    for stage in _LOSSES:
-        if stage in budget:
-            later = stages[stages.index(stage) :] if stage in _MEMORY else [stage]
-            share = max(budget[one] for one in later)
-            steps[stage], ends[stage] = before - share, (before, share)
-            before = share
-    worst = max(steps, key=lambda stage: steps[stage], default=None)
-    if worst is not None and steps[worst] > 0:
-        before, after = (_per_hundred(share) for share in ends[worst])
+        yield f"If the background were known, {per_hundred(known)} of 100 moving vehicles could be found"
+    if loss is not None:
         yield (
-            f"The largest lasting loss is {_LOSSES[worst]}: from {before} to {after} of 100 moving vehicles"
+            f"The largest lasting loss is {LOSSES[loss.stage]}: from {per_hundred(loss.before)} to "
+            f"{per_hundred(loss.after)} of 100 moving vehicles"
         )
 
 
@@ -253,12 +238,12 @@ def _about_scores(
     if math.isfinite(visible + false):
         yield (
             f"Tracks are reported {live['report_lag_s']:g} s late (`track.reporting.lag_s`), so that later "
-            f"frames count. Reported at once, {_per_hundred(visible)} of 100 visible vehicles are tracked, "
+            f"frames count. Reported at once, {per_hundred(visible)} of 100 visible vehicles are tracked, "
             f"with {_count(false)} false tracks per km²."
         )
     if share is not None and abs(share - float(of["completeness"])) > _MAX_DIFFERENCE:
         yield (
-            f"The loss budget uses {budget_frames(tree)}, with {_per_hundred(share)} of 100 moving vehicles "
+            f"The loss budget uses {budget_frames(tree)}, with {per_hundred(share)} of 100 moving vehicles "
             "tracked. The scores use all frames after the background is learnt."
         )
 
@@ -268,7 +253,7 @@ def _small_field(tree: xr.DataTree, budget: Mapping[str, float], case: Case | No
         return
     (across, along), seen = ground_view(case)[1], budget.get("in_view")
     if seen is not None:
-        outside = f". {_per_hundred(1 - seen)} of 100 moving vehicles are outside"
+        outside = f". {per_hundred(1 - seen)} of 100 moving vehicles are outside"
     elif case.scene.uses_mesh_window:
         return
     else:  # without a loss budget, from the areas
@@ -276,7 +261,7 @@ def _small_field(tree: xr.DataTree, budget: Mapping[str, float], case: Case | No
     if seen < _MIN_IN_VIEW:
         yield (
             f"The array sees about {across:.0f} m × {along:.0f} m of ground{outside}. The scores are of all "
-            f'vehicles {_where(tree)}; `scene.area = "footprint"` scores those in the frame. To compare '
+            f'vehicles {scored_area(tree)}; `scene.area = "footprint"` scores those in the frame. To compare '
             "pitches or focal lengths over one field, change `sensor.rows` and `sensor.columns` with them "
             "(in a study: `constraints.constant_field = true`)."
         )
@@ -302,8 +287,8 @@ def _about_design(
     used = case.track.effective(found not in tree.groups or "log_likelihood_ratio" in tree[found])
     if used.reporting.uses_existence and share > _MAX_FALSE_RATIO * limit:
         yield (
-            f"{_per_hundred(share)} of 100 reported tracks are false, more than the limit of "
-            f"{_per_hundred(limit)} (`track.reporting.max_false_share`). The limit is met only on flights "
+            f"{per_hundred(share)} of 100 reported tracks are false, more than the limit of "
+            f"{per_hundred(limit)} (`track.reporting.max_false_share`). The limit is met only on flights "
             "like those to which the existence model was fitted."
         )
 
@@ -325,10 +310,10 @@ def _few_movers(tree: xr.DataTree, name: str, case: Case | None) -> Iterator[str
         by_file = case is not None and (case.scene.traffic_file is not None or case.scene.city == "mesh")
         more = "" if by_file else " A smaller `scene.traffic_insertion_period_s` gives more traffic."
         they = "vehicle moves" if round(movers) == 1 else "vehicles move"
-        yield f"Only {movers:.0f} {they} {_where(tree)} at a time: shares are not precise.{more}"
+        yield f"Only {movers:.0f} {they} {scored_area(tree)} at a time: shares are not precise.{more}"
 
 
-def _subject(channel: str) -> str:
+def describe_subject(channel: str) -> str:
     """Subject and verb of a sentence about a channel."""
     words = {"pan": "Pan tracks", "dolp": "DoLP tracks", "all": "All elements together track"}
     return words.get(channel, f"{channel} tracks")
@@ -339,7 +324,8 @@ def _attributes(tree: xr.DataTree, name: str) -> Mapping[Any, Any]:
     return tree[name].attrs if name in tree.children else {}
 
 
-def _frames(count: int) -> str:
+def describe_frames(count: int) -> str:
+    """Count of frames in words; empty for none."""
     return f"{count} frame{'s' if count > 1 else ''}" if count else ""
 
 
@@ -347,5 +333,6 @@ def _count(value: float) -> str:
     return f"{value:.0f}" if value >= 9.5 else f"{value:.1f}"
 
 
-def _per_hundred(share: float) -> str:
+def per_hundred(share: float) -> str:
+    """Share as a whole number of 100."""
     return f"{100 * share:.0f}"

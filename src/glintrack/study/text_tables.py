@@ -10,7 +10,7 @@ The importance of an axis is that in the channel with the highest score, as in a
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -180,6 +180,45 @@ def _describe_best_point(points: pd.DataFrame) -> str:
     return f"Highest{point}: {best['score']:.3g} {NAMES[response]}{interval} in {_channel(best.to_dict())}."
 
 
+class StudyHeadline(NamedTuple):
+    """One number and three sentences about a study; code is between backticks."""
+
+    number: str
+    words: str
+    best: str
+    matters: str
+    others: str
+
+
+def study_headline(tables: Mapping[str, pd.DataFrame]) -> StudyHeadline | None:
+    """Largest effect of a study in one number, or its best score without effects; None without scores."""
+    if "points" not in tables or not (best := _describe_best_point(tables["points"])):
+        return None
+    rows = importance(tables)
+    if rows.empty:
+        number, _, words = best.partition(": ")[2].partition(" ")
+        return StudyHeadline(number, words, best, "Only one design was compared.", "None.")
+    records, name = rows.to_dict("records"), NAMES[headline(tables["effects"])]
+    first, known = records[0], math.isfinite(records[0]["low"])
+    interval = f" (95 % interval {first['low']:+.3g} to {first['high']:+.3g})" if known else ""
+    significant = [f"`{row['axis']}`" for row in records if row["significant"]]
+    rest = [f"`{row['axis']}`" for row in records if not row["significant"]]
+    if "contrasts" in tables:
+        found = tables["contrasts"]
+        found = found[(found["response"] == headline(found)) & (found["point"] == "all")]
+        significant += list(found.loc[found["p_max_t"] < MAX_P, "contrast"])
+    return StudyHeadline(
+        number=f"{first['effect']:+.3g}".replace("-", "−"),
+        words=f"{name} by `{first['axis']}`: {first['level']}{interval}, in {_channel(first)}"
+        + ("" if first["significant"] else "; not significant"),
+        best=best,
+        matters=f"Significant: {', '.join(significant)}." if significant else "No change is significant.",
+        others=f"Not significant: {', '.join(rest)}."
+        if rest
+        else "Every parameter has a significant effect.",
+    )
+
+
 def narrow_intervals(table: pd.DataFrame, source: Mapping[str, Any]) -> str:
     """Warning that intervals of a few flights are too narrow; else empty."""
     count = int(table.loc[table["status"] == "finished", "replicate"].nunique())
@@ -223,7 +262,8 @@ def importance_table(tables: Mapping[str, pd.DataFrame], by: Sequence[str] = ("a
     others = [name for name in _CONTEXT if found[name].notna().any()]
     rows = tuple(
         (
-            *(str(row[name]) for name in ("axis", "level", "channel")),
+            *(str(row[name]) for name in ("axis", "level")),
+            _channel(row),
             f"{row['effect']:+.3g}",
             f"{row['low']:+.3g} … {row['high']:+.3g}{' *' * row['significant']}"
             if math.isfinite(row["low"])
@@ -242,7 +282,11 @@ def points_table(points: pd.DataFrame) -> TextTable:
     names = [n for n in (headline(points), *_CONTEXT) if n in set(points["response"])]
     scores = points.pivot_table(index=["point", "channel"], columns="response", values="score", sort=False)
     rows = tuple(
-        (*map(str, index), *(f"{row[n]:.3g}" if math.isfinite(row[n]) else _DASH for n in names))
+        (
+            str(index[0]),
+            CHANNEL_WORDS.get(index[1], index[1]),
+            *(f"{row[n]:.3g}" if math.isfinite(row[n]) else _DASH for n in names),
+        )
         for index, row in zip(scores.index, scores.reindex(columns=names).to_dict("records"), strict=True)
     )
     return TextTable("each design", ("design", "in", *(SHORT.get(n, NAMES[n]) for n in names)), rows, words=2)
@@ -256,7 +300,7 @@ def comparison_tables(tables: Mapping[str, pd.DataFrame]) -> list[TextTable]:
             (
                 f"{row['under']}: {row['first']} and {row['second']}",
                 NAMES[row["response"]],
-                row["channel"],
+                _channel(row),
                 str(row["designs"]),
                 f"{row['tau']:.2f}{_ends(row, '{:.2f}')}",
             )
@@ -268,7 +312,7 @@ def comparison_tables(tables: Mapping[str, pd.DataFrame]) -> list[TextTable]:
         rows = tuple(
             (
                 NAMES[row["response"]],
-                row["channel"],
+                _channel(row),
                 str(row["flights"]),
                 *(f"{row[name]:.3g}" for name in ("spread", "error")),
                 f"{row['coverage']:.2f} ({row['coverage_low']:.2f} … {row['coverage_high']:.2f})",

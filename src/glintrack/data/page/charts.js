@@ -118,8 +118,8 @@ const charts = (() => {
     overTime(parent, "Spectra served", "queries", curve("queries_served"));
     const swept = Object.entries(page.channels).filter(([, m]) => m.froc);
     if (swept.length && page.byId("froc-charts")) plots.draw(page.byId("froc-charts"), [{
-      title: "FROC: completeness against false tracks", xlabel: "false tracks per frame", ylabel: "completeness", fromZero: true,
-      lines: swept.map(([name, { froc }]) => ({ label: name, channel: name, points: froc.points, joined: froc.points, own: froc.own })),
+      title: "FROC: completeness against false tracks; large open mark: this run", xlabel: "false tracks per frame", ylabel: "completeness", fromZero: true,
+      lines: swept.map(([name, { froc }]) => ({ label: page.named(name), channel: name, points: froc.points, joined: froc.points, own: froc.own })),
     }]);
   }
 

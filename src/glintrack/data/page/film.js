@@ -2,8 +2,8 @@
 // The pictures of the flight, in sync, with tracks, truth and queries drawn over them.
 const film = (() => {
   const KINDS = {
-    rgb: ["natural colour", ""], pan: ["pan radiance", "gray"], dolp: ["degree of polarization", "viridis"],
-    aop: ["angle of polarization", "shifted"], map: ["map", ""],
+    rgb: ["natural colour", ""], pan: ["pan radiance", "gray"], dolp: ["DoLP (degree of polarization)", "viridis"],
+    aop: ["AoP (angle of polarization)", "shifted"], map: ["map", ""],
   };
   const GRADIENTS = {
     gray: ["#000", "#fff"],
@@ -23,7 +23,7 @@ const film = (() => {
   function ends(kind) {
     if (kind === "pan") return info.pan_range.map((v) => v.toPrecision(3)).concat("W m⁻² sr⁻¹ µm⁻¹");
     if (kind === "dolp") return ["0", String(info.dolp_highest), ""];
-    return ["0°", "180°", ""];
+    return ["0°", "180°", info.aop_full_dolp ? `, brightness: DoLP 0 to ${info.aop_full_dolp}` : ""];
   }
 
   function build() {
@@ -36,7 +36,7 @@ const film = (() => {
         const [low, top, unit] = ends(kind);
         const bar = page.element("span", { className: "gradient" });
         bar.style.background = `linear-gradient(to right, ${map.join(",")})`;
-        caption.append(page.element("span", { className: "scale" }, low, bar, `${top} ${unit}`));
+        caption.append(page.element("span", { className: "scale" }, low, bar, `${top}${unit.startsWith(",") ? "" : " "}${unit}`));
       }
       const canvas = page.element("canvas", { role: "img" });
       canvas.setAttribute("aria-label", `${KINDS[kind][0]} of the ground with the chosen layers`);

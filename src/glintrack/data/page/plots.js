@@ -35,7 +35,7 @@ const plots = (() => {
     return [a >= 0 && a - room < 0 ? 0 : a - room, b + room];
   }
 
-  // list: [{title, xlabel, ylabel, fromZero, lines: [{label, channel, points, joined, own}]}]; a point is [x, y] or [x, y, words]
+  // list: [{title, xlabel, ylabel, fromZero, numbered, lines: [{label, channel, points, joined, own}]}]; a point is [x, y], [x, y, words] or [x, y, words, label]
   function draw(box, list) {
     for (const plot of list) {
       const points = plot.lines.flatMap((l) => [...l.points, ...(l.own ? [l.own] : [])]);
@@ -44,6 +44,7 @@ const plots = (() => {
       caption.textContent = plot.title;
       figure.append(caption, picture(plot, points));
       if (plot.lines.length > 1) figure.append(key(plot.lines));
+      if (plot.numbered && plot.numbered.length) figure.append(ordered(plot.numbered));
       box.append(figure);
     }
     if (!box.children.length) box.textContent = "There is nothing to draw yet.";
@@ -72,14 +73,27 @@ const plots = (() => {
     return out;
   }
 
+  function ordered(texts) {
+    const out = document.createElement("ol");
+    texts.forEach((text) => out.append(Object.assign(document.createElement("li"), { textContent: text })));
+    return out;
+  }
+
+  // marks with the line that joins them, as drawn: solid, dashed or dotted
   function key(lines) {
     const out = document.createElement("p");
     out.className = "key";
-    for (const { label, channel } of lines) {
-      const box = svg("svg", { viewBox: "0 0 14 14", width: 14, height: 14, "aria-hidden": "true" }), one = mark(channel, 7, 7, 4.5);
+    for (const { label, channel, joined, interval } of lines) {
+      const box = svg("svg", { viewBox: "0 0 34 14", width: 34, height: 14, "aria-hidden": "true" }), one = mark(channel, 17, 7, 4.5);
+      const dash = interval ? "" : DASHES[channel] || "";
+      if (interval || (joined && joined.length > 1))
+        box.append(svg("line", { x1: 0, x2: 34, y1: 7, y2: 7, "stroke-dasharray": dash, style: `stroke:${colourOf(channel)};stroke-width:2` }));
       one.setAttribute("style", `fill:${colourOf(channel)}`);
       box.append(one);
-      out.append(box, ` ${label} `);
+      const entry = document.createElement("span");
+      entry.className = "keyed";
+      entry.append(box, ` ${label}`);
+      out.append(entry);
     }
     return out;
   }
@@ -96,6 +110,7 @@ const plots = (() => {
       out.append(one);
     };
     for (const p of line.points) place(p, 3.5, style("fill"), p[2]);
+    for (const p of line.joined) if (p[3]) out.append(svg("text", { x: x(p[0]), y: y(p[1]) - 7, "text-anchor": "middle", class: "mark" }, p[3]));
     if (line.own) place(line.own, 8, `fill:none;stroke-width:2.5;${style("stroke")}`, "this run");
   }
 

@@ -16,7 +16,6 @@ const study = (() => {
   }
   const nameOf = (key) => data.labels[key] || key;
   const column = (name) => data.columns.indexOf(name);
-  const cut = (text, most) => (text.length > most ? `${text.slice(0, most - 1)}…` : text);
 
   function sortable() {
     const table = byId("table"), heads = [...table.tHead.rows[0].cells];
@@ -50,11 +49,24 @@ const study = (() => {
   const NARROW = 620; // in a box less wide [px] a row's label stands above its marks
   const rounded = (text) => text.replace(/-?\d+\.\d+/g, (number) => short(Number(number)));
 
+  // a text in lines of so many characters, broken at spaces
+  function wrapped(text, most) {
+    const out = [];
+    for (const word of text.split(" ")) {
+      const last = out.length - 1;
+      if (last >= 0 && `${out[last]} ${word}`.length <= most) out[last] += ` ${word}`; else out.push(word);
+    }
+    return out;
+  }
+
   // Marks with intervals, one row each label and one mark a channel; entries: {row, channel, value, low, high}.
   function dots(box, entries, title, xlabel, zero) {
     const rows = [...new Set(entries.map((e) => e.row))], channels = [...new Set(entries.map((e) => e.channel))];
-    const narrow = box.clientWidth < NARROW, width = narrow ? Math.max(box.clientWidth, 260) : 760, left = narrow ? 10 : 290, right = narrow ? 10 : 20;
-    const above = narrow ? 18 : 0, step = 34 + above, height = rows.length * step + 58, longest = narrow ? Math.floor(width / 6.8) : 42;
+    const narrow = box.clientWidth < NARROW, width = narrow ? Math.max(box.clientWidth, 260) : 860, left = narrow ? 10 : 390, right = narrow ? 10 : 20;
+    const said = rows.map((row) => wrapped(rounded(row), narrow ? Math.floor(width / 6.9) : 54)), tops = [];
+    let height = 8; // of each row: its marks, and its label above or beside them
+    said.forEach((text) => { tops.push(height); height += narrow ? 15 * text.length + 40 : Math.max(15 * text.length + 8, 34); });
+    height += 50;
     const ends = entries.flatMap((e) => [e.value, e.low, e.high]).filter((v) => v !== null).concat(zero ? 0 : []);
     const low = Math.min(...ends), high = Math.max(...ends), room = 0.06 * (high - low || Math.abs(high) || 1);
     const x = (v) => left + ((v - low + room) / (high - low + 2 * room)) * (width - left - right);
@@ -63,8 +75,9 @@ const study = (() => {
     picture.append(svg("line", { x1: left, x2: width - right, y1: height - 42, y2: height - 42, class: "axis" }));
     if (zero) picture.append(svg("line", { x1: x(0), x2: x(0), y1: 6, y2: height - 42, class: "axis" }));
     rows.forEach((row, k) => {
-      const y = 20 + k * step + above, said = rounded(row), shown = said.length > longest ? `${said.slice(0, longest - 1)}…` : said;
-      picture.append(svg("text", narrow ? { x: 2, y: y - 18 } : { x: left - 12, y: y + 4, "text-anchor": "end" }, shown));
+      const text = said[k], y = narrow ? tops[k] + 15 * text.length + 19 : tops[k] + Math.max(7.5 * text.length + 4, 17);
+      text.forEach((line, n) => picture.append(svg("text", narrow ? { x: 2, y: tops[k] + 12 + 15 * n }
+        : { x: left - 12, y: y + 4 + 15 * (n - (text.length - 1) / 2), "text-anchor": "end" }, line)));
       channels.forEach((m, n) => {
         const e = entries.find((one) => one.channel === m && one.row === row);
         if (!e || e.value === null) return;
@@ -72,7 +85,7 @@ const study = (() => {
         if (e.low !== null) picture.append(svg("line", { x1: x(e.low), x2: x(e.high), y1: at, y2: at, style: `stroke:${colour}`, class: "interval" }));
         const one = mark(m, x(e.value), at, 4);
         one.setAttribute("style", `fill:${colour}`);
-        one.append(svg("title", {}, `${m}, ${row}: ${short(e.value)}${e.low === null ? "" : ` (${short(e.low)} to ${short(e.high)})`}`));
+        one.append(svg("title", {}, `${CHANNELS[m] || m}, ${row}: ${short(e.value)}${e.low === null ? "" : ` (${short(e.low)} to ${short(e.high)})`}`));
         picture.append(one);
       });
     });
@@ -80,7 +93,7 @@ const study = (() => {
     marks.filter((v, k, all) => all.indexOf(v) === k && (!zero || v === 0 || Math.abs(x(v) - x(0)) > 46)).forEach((v) =>
       picture.append(svg("text", { x: x(v), y: height - 24, "text-anchor": "middle" }, short(v))));
     picture.append(svg("text", { x: (left + width - right) / 2, y: height - 6, "text-anchor": "middle" }, xlabel));
-    box.replaceChildren(picture, plots.key(channels.map((m) => ({ label: CHANNELS[m] || m, channel: m }))));
+    box.replaceChildren(picture, plots.key(channels.map((m) => ({ label: CHANNELS[m] || m, channel: m, interval: true }))));
   }
 
   // A chart of the chosen score; absent with its section where there is nothing to draw.
@@ -131,7 +144,7 @@ const study = (() => {
       const names = [...data.varied, ...data.responses];
       const rows = data.rows.map((r, k) => ({ r, k })).filter(({ r }) => r[column("status")] === "finished" && (!channel || r[column("channel")] === channel));
       if (!rows.length || names.length < 2) { box.textContent = "There is nothing to compare yet."; keep(); return; }
-      const gap = 150, side = 92, width = Math.max(640, gap * names.length), height = 330, top = 46, bottom = height - 28;
+      const gap = 150, side = 92, width = Math.max(640, gap * names.length), height = 366, top = 82, bottom = height - 28;
       const x = (k) => side + (k * (width - 2 * side)) / (names.length - 1);
       const scales = names.map((n) => scaleOf(n, rows.map((o) => o.r), top, bottom));
       const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, width, class: "plot parallel", role: "img" });
@@ -147,9 +160,10 @@ const study = (() => {
       names.forEach((name, i) => {
         picture.append(svg("line", { x1: x(i), x2: x(i), y1: top, y2: bottom, class: "axis" }));
         const outer = i === 0 ? { x: x(i) - side + 4 } : i === names.length - 1 ? { x: x(i) + side - 4, "text-anchor": "end" } : null;
-        picture.append(svg("text", { ...(outer || { x: x(i), "text-anchor": "middle" }), y: i % 2 ? 30 : 14 }, cut(nameOf(name), 40)));
-        const inward = i < names.length - 1 ? { x: x(i) + 6 } : { x: x(i) - 6, "text-anchor": "end" };
-        scales[i].marks.forEach((v) => picture.append(svg("text", { ...inward, y: scales[i].y(v) + 4, class: "mark" }, cut(short(v), 20))));
+        const said = nameOf(name), head = said.includes(" ") ? wrapped(said, 22) : said.split(/(?<=\.)/), inward = i < names.length - 1 ? { x: x(i) + 6 } : { x: x(i) - 6, "text-anchor": "end" };
+        head.forEach((line, n) => picture.append(svg("text", { ...(outer || { x: x(i), "text-anchor": "middle" }), y: top - 14 - 14 * (head.length - 1 - n) }, line)));
+        scales[i].marks.forEach((v) => wrapped(short(v), 20).forEach((line, n) =>
+          picture.append(svg("text", { ...inward, y: scales[i].y(v) + 4 + 13 * n, class: "mark" }, line))));
         brush(picture, name, i, x(i), top, bottom);
       });
       box.replaceChildren(picture);

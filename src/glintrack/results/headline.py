@@ -1,0 +1,91 @@
+"""First screen of the report: one number and three sentences, all per 100 moving vehicles."""
+
+import math
+from dataclasses import dataclass
+
+from glintrack.core.schema import CHANNEL_WORDS
+from glintrack.results.losses import LOSSES, find_remedy, largest_loss
+from glintrack.results.read import Result
+from glintrack.results.verdict import (
+    describe_frames,
+    describe_subject,
+    describe_undecided,
+    per_hundred,
+    scored_area,
+    select_channel,
+    stage_shares,
+)
+
+_NO_LOSS = "Nowhere: every stage keeps all vehicles."
+_NO_REMEDY = "No recorded study says for this design. Compare two designs with `glintrack study`."
+_NO_BUDGET = "Not known, because the loss budget was not measured."
+_MEASURE = (
+    "Measure the loss budget: `glintrack bound case.toml`, in the folder of this result, prints it. A run "
+    "shows it here if `bound.every` is above 0 and below the number of frames."
+)
+
+
+@dataclass(frozen=True)
+class Headline:
+    """One number and three sentences about a flight.
+
+    Parameters
+    ----------
+    number
+        Moving vehicles tracked, of 100.
+    words
+        What the number counts, to follow it.
+    tracked, lost, advice
+        What is tracked, where most are lost, and what to try; code is between backticks.
+    denominator
+        What 100 stands for on the first screen.
+    warning
+        Why the run is too short to judge a design; empty if it is not.
+    stage
+        Stage of the largest loss; empty if it is not known.
+    """
+
+    number: str
+    words: str
+    tracked: str
+    lost: str
+    advice: str
+    denominator: str
+    warning: str
+    stage: str
+
+
+def headline(result: Result) -> Headline | None:
+    """Headline of a result; None if no vehicle was scored."""
+    name, tree = select_channel(result.scores), result.tree
+    if name is None or tree is None:
+        return None
+    attributes, where, budget = tree[name].attrs, scored_area(tree), stage_shares(tree).get(name, {})
+    movers, false = (float(attributes.get(k, math.nan)) for k in ("vehicles_per_frame", "false_per_frame"))
+    number, loss = per_hundred(result.scores[name]["completeness"]), largest_loss(budget)
+    tracked = f"{describe_subject(name)} {number}"
+    if movers > 0 and math.isfinite(false):
+        tracked += f", with {per_hundred(false / movers)} false tracks beside them"
+    shares = [(k, float(of.get("completeness", math.nan))) for k, of in result.scores.items() if k != name]
+    others = [f"{CHANNEL_WORDS.get(k, k)} alone {per_hundred(n)}" for k, n in shares if math.isfinite(n)]
+    parts = [tracked, *([", ".join(others)] if others else [])]
+    if loss is not None:
+        remedy = find_remedy(loss.stage, result.case)
+        lost = f"{LOSSES[loss.stage]}: {per_hundred(loss.before)} are left before this stage"
+        lost += f", {per_hundred(loss.after)} after it."
+        advice = _NO_REMEDY if remedy is None else f"{remedy.advice}. {remedy.evidence}"
+    else:
+        lost, advice = (_NO_LOSS, _NO_REMEDY) if len(budget) > 1 else (_NO_BUDGET, _MEASURE)
+    count = describe_frames(int(attributes.get("frames", 0))) or "all frames"
+    mean = f" ({movers:.0f} move there at a time)" if movers > 0 else ""
+    return Headline(
+        number=number,
+        words=f"of 100 moving vehicles {where} are tracked",
+        tracked="".join(f"{part[:1].upper()}{part[1:]}. " for part in parts).strip(),
+        lost=lost[:1].upper() + lost[1:],
+        advice=advice[:1].upper() + advice[1:],
+        denominator=f"All numbers of vehicles here are per 100 moving vehicles {where}{mean}, in the mean of "
+        f"{count}.",
+        warning=describe_undecided(tree, name).strip(),
+        stage="" if loss is None else loss.stage,
+    )
