@@ -7,7 +7,7 @@ from dataclasses import replace
 import pyarrow.parquet
 import pytest
 
-from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
+from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study, shorten_design
 from glintrack.study import StudyFolder, read_plan, run_study, serial, write_results
 from glintrack.study.text_tables import NAMES
 from tests.cli.test_cli import program
@@ -66,6 +66,46 @@ def test_every_finished_study_is_drawn(tmp_path, labels):
     assert [p["point"] for p in points if p["channel"] == "pan"] == labels
     assert 'id="points-chart"' in html and ('id="effects"' in html) == (len(labels) > 1)
     assert 'id="answer"' in html
+
+
+AXES = ["sensor.pitch_um", "flight.off_nadir_deg", "seed", "scene.seed", "view"]
+
+
+@pytest.mark.parametrize(
+    ("point", "short"),
+    [
+        ("base", "base"),
+        ("sensor.pitch_um = 8.512345, seed = 7", "pitch_um = 8.51"),
+        ("seed = 7, flight.off_nadir_deg = 20", "off_nadir_deg = 20"),
+        ("seed = 7, scene.seed = 8", "seed = 7, scene.seed = 8"),  # nothing else differs
+        ("view = toward the sun, 5 PM, sensor.pitch_um = 17", "view = toward the sun, 5 PM, pitch_um = 17"),
+    ],
+)
+def test_a_design_is_named_by_what_differs(point, short):
+    assert shorten_design(point, AXES) == short
+
+
+def test_keys_of_one_ending_keep_their_tables():
+    keys = ["sensor.rate_hz", "flight.rate_hz"]
+    assert shorten_design("sensor.rate_hz = 2, flight.rate_hz = 3", keys) == (
+        "sensor.rate_hz = 2, flight.rate_hz = 3"
+    )
+
+
+def test_the_first_screen_and_the_pareto_fronts_of_a_study(folder):
+    html = build_study_page(folder, folder.parent)
+    first = html[html.index("<header>") : html.index("</header>")]
+    assert re.search(r'id="headline" class="headline"><strong>[+−][\d.]+</strong> completeness', first)
+    assert [*re.findall(r"<dt>(Best design|What matters|What does not)</dt>", first)] == [
+        "Best design", "What matters", "What does not",
+    ]  # fmt: skip
+    plot = embedded(html)["plots"][0]
+    assert plot["numbered"] and all("seed" not in name for name in plot["numbered"])
+    for line in plot["lines"]:
+        assert line["label"] in ("pan", "DoLP")
+        for _, _, name, number in line["joined"]:
+            assert plot["numbered"][int(number) - 1] == name
+    assert "NIIRS" not in first and "pitch_um = 10.8" in {p["point"] for p in embedded(html)["points"]}
 
 
 EVIL = "</script><script>window.hacked=1</script><img src=x onerror=window.hacked=1>"

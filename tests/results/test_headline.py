@@ -91,7 +91,7 @@ def test_the_evidence_is_what_table1_recorded(change, percent):
     rows = (Path(__file__).parents[2] / "docs/findings/table1_points.csv").read_text(encoding="utf-8")
     held = {}
     for name in ("base", change):
-        found = re.search(rf'^"?{re.escape(name)}"?,([\d.]+),.*,pan,held_per_km2$', rows, re.MULTILINE)
+        found = re.search(rf'^"?{re.escape(name)}"?,([\d.]+),.*,pan,tracked_per_km2$', rows, re.MULTILINE)
         assert found is not None
         held[name] = float(found[1])
     assert round(100 * (held[change] / held["base"] - 1)) == percent

@@ -282,8 +282,9 @@ def _counts(result: Result, data: dict) -> list[tuple[str, str, int]]:
     if data["truth"]:
         rows.append(("vehicles", "vehicles inside", data["truth"]["vehicles"]))
     for name, part in data["channels"].items():
-        rows.append((f"tracks-{name}", f"tracks in {name}", part["counts"]["tracks"]))
-        rows.append((f"queries-{name}", f"spectra for {name}", part["counts"]["queries"]))
+        words = CHANNEL_WORDS.get(name, name)
+        rows.append((f"tracks-{name}", f"tracks in {words}", part["counts"]["tracks"]))
+        rows.append((f"queries-{name}", f"spectra for {words}", part["counts"]["queries"]))
     if result.film:
         rows.append(("film", "film frames", len(result.film["frames"])))
     return rows

@@ -72,7 +72,13 @@ def build_study_page(folder: str | Path, page_folder: str | Path) -> str:
     values = [[_plain(v) for v in row] for row in table[columns].itertuples(index=False)]
     links = {key: _link(folder, str(key), Path(page_folder)) for key in table["case"].unique()}
     cells = [
-        ([(_cell(v), "" if v is None else v) for v in row], links[row[columns.index("case")]])
+        (
+            [
+                (CHANNEL_WORDS.get(v, _cell(v)) if name == "channel" else _cell(v), "" if v is None else v)
+                for name, v in zip(columns, row, strict=True)
+            ],
+            links[row[columns.index("case")]],
+        )
         for row in values
     ]
     return render_page(
