@@ -33,27 +33,13 @@ NOT_TRACKING = (
 
 
 class ImageQuality(NamedTuple):
-    """NIIRS and the quantities that it follows from.
-
-    Parameters
-    ----------
-    niirs
-        Rating, 0 to 9; lower or higher values are extrapolated.
-    gsd_m
-        Geometric mean of the ground sample distances across the line of sight and on the ground. [m]
-    edge_response
-        Relative edge response (RER), the lower direction counted twice. [1]
-    snr
-        Signal-to-noise ratio of a contrast of 15 % to 7 % reflectance. [1]
-    q
-        Wavelength × F-number / pitch. [1]
-    """
+    """NIIRS, 0 to 9 and extrapolated outside, and the quantities that it follows from."""
 
     niirs: float
-    gsd_m: float
-    edge_response: float
-    snr: float
-    q: float
+    gsd_m: float  # geometric mean of those across the line of sight and on the ground
+    edge_response: float  # the lower direction counts twice
+    snr: float  # of a contrast of 15 % to 7 % reflectance
+    q: float  # wavelength × F-number / pitch
 
 
 def giqe5(gsd_m: float, edge_responses: tuple[float, float], snr: float, elevation_rad: float) -> float:

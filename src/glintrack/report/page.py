@@ -10,7 +10,6 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict
 from importlib.resources import files
 from typing import NamedTuple
 
@@ -93,7 +92,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         scripts=("theme.js", "core.js", "plots.js", "charts.js", "film.js", "track.js", "report.js"),
         title=data["name"],
         verdict=result.verdict,
-        headline=None if first is None else {k: in_code(text) for k, text in asdict(first).items()},
+        headline=None if first is None else {k: in_code(text) for k, text in first._asdict().items()},
         other_channels=describe_other_channels(result.scores),
         reservations=[in_code(text) for text in result.reservations],
         facts=facts | _changes(rows, name),

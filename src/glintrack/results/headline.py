@@ -1,7 +1,7 @@
 """First screen of the report: one number and three sentences, all per 100 moving vehicles."""
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from glintrack.core.schema import CHANNEL_WORDS
 from glintrack.results.losses import LOSSES, find_remedy, largest_loss
@@ -25,34 +25,17 @@ _MEASURE = (
 )
 
 
-@dataclass(frozen=True)
-class Headline:
-    """One number and three sentences about a flight.
-
-    Parameters
-    ----------
-    number
-        Moving vehicles tracked, of 100.
-    words
-        What the number counts, to follow it.
-    tracked, lost, advice
-        What is tracked, where most are lost, and what to try; code is between backticks.
-    denominator
-        What 100 stands for on the first screen.
-    warning
-        Why the run is too short to judge a design; empty if it is not.
-    stage
-        Stage of the largest loss; empty if it is not known.
-    """
+class Headline(NamedTuple):
+    """One number of 100 moving vehicles and three sentences; code is between backticks."""
 
     number: str
-    words: str
+    words: str  # what the number counts
     tracked: str
     lost: str
     advice: str
-    denominator: str
-    warning: str
-    stage: str
+    denominator: str  # what 100 stands for
+    warning: str  # why the run is too short to judge a design; may be empty
+    stage: str  # of the largest loss; may be empty
 
 
 def headline(result: Result) -> Headline | None:

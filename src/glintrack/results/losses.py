@@ -49,7 +49,7 @@ def largest_loss(budget: Mapping[str, float]) -> Loss | None:
 
 
 class Remedy(NamedTuple):
-    """What to change, and the effect that a study recorded."""
+    """Advice and the effect that a study recorded."""
 
     advice: str
     evidence: str
