@@ -150,7 +150,7 @@ def haze_transmittance(case: Case) -> float:
     return math.exp(-(aerosol + rayleigh) / math.cos(math.radians(_off_nadir_deg(case))))
 
 
-class GroundLight(NamedTuple):
+class ElementLight(NamedTuple):
     """Electrons of a white ground and of haze on an element, and well filling by white paint. [e, e, 1]"""
 
     white_e: float
@@ -162,7 +162,7 @@ class GroundLight(NamedTuple):
         return self.white_e * reflectance + self.haze_e
 
 
-def ground_light(case: Case) -> GroundLight:
+def ground_light(case: Case) -> ElementLight:
     """Derive the electrons of an element in the case's sun and haze, at the exposure that is used."""
     sensor, um = case.sensor, np.asarray(case.atmosphere.wavelength_um)
     bare = any(what in (OPEN, MIRROR) for row in sensor.superpixel for what in row)
@@ -172,7 +172,7 @@ def ground_light(case: Case) -> GroundLight:
         response = analyser_response(sensor, load_polarizer(sensor), um)[0]
     weights = quadrature_weights(um) * um * response
     if not weights.sum() > 0:
-        return GroundLight(0.0, 0.0, 0.0)
+        return ElementLight(0.0, 0.0, 0.0)
     radiance = float(weights @ ground_irradiance(case, um) / weights.sum()) / math.pi  # of a white ground
     white_e = radiance * photon_gain(sensor, um, response)
     passed = haze_transmittance(case)
@@ -182,7 +182,7 @@ def ground_light(case: Case) -> GroundLight:
     if automatic.quantile:  # the exposure that the light would lead to
         longest = automatic.longest_ms / sensor.integration_time_ms
         factor = min(FULL_SHARE / fill, longest)
-    return GroundLight(factor * white_e * passed, factor * haze_e, factor * fill)
+    return ElementLight(factor * white_e * passed, factor * haze_e, factor * fill)
 
 
 def light_quantities(case: Case) -> dict[str, float]:
