@@ -17,6 +17,7 @@ from tests.cli.test_cli import program
         ("sensor ghosts relay --gap-mm 2,000", ("got '2,000'. Write 2000 or 2.000, with a point",)),
         ("score a b --match-m 20m", ("a number in m; got '20m'. Write the number without its unit",)),
         ("score a b --area 0 1,5 2 3", ("`--area` must be a number in m; got '1,5'. Write 1.5",)),
+        ("score a b --area 0,1,2,3", ("'--area' requires 4 arguments separated by spaces",)),
         ("run --require custody>=0,8", ("got '0,8'. Write 0.8, with a point",)),
         ("run --set sensor.pitch_um=3,45um", ("got '3,45um'. Write 3.45, with a point. Write the number",)),
         ("ortho a.png --camera c --pose p -o o.tif --method cubicc", ("--method", "cubicc", "bilinear")),

@@ -156,8 +156,9 @@ def _describe(error: Exception) -> str:
         kind, unit = fault.errors()[0]["type"], _UNIT.search(option.help or "")
         if kind != "value_error":  # a number
             said = describe_value(fault.errors()[0], max(option.opts, key=len), unit[1] if unit else "")
+    hint = " separated by spaces" if re.search(r"requires \d arguments", said) else ""
     path = context.command_path if context is not None else "glintrack"
-    return f"{plain(said).rstrip('.')} (see `{path} --help`)"
+    return f"{plain(said).rstrip('.')}{hint} (see `{path} --help`)"
 
 
 _default_format = warnings.formatwarning
