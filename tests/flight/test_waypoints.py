@@ -107,6 +107,16 @@ def test_a_kml_track_has_times(tmp_path):
     np.testing.assert_allclose(flight.pose(12.0).position, [0, 100, 1000], atol=2 * MILLIMETRE)
 
 
+def test_tracks_of_a_kml_have_the_altitude_mode_of_their_multitrack(tmp_path):
+    places = "".join(
+        f"<gx:coord>{x:.9f} {y:.9f} 1000</gx:coord>" for x, y in map(degrees_of, (0, 0), (0, 200))
+    )
+    whens = "".join(f"<when>2010-07-15T13:00:0{s}Z</when>" for s in (0, 4))
+    track = f"<gx:MultiTrack>{MODE}<gx:Track>{whens}{places}</gx:Track></gx:MultiTrack>"
+    flight = flown(tmp_path, "way.kml", KML.format(track))
+    np.testing.assert_allclose(flight.pose(2.0).position, [0, 100, 1000], atol=2 * MILLIMETRE)
+
+
 BOMB = '<!DOCTYPE k [<!ENTITY a "x">]><kml><LineString/></kml>'
 HEADER = "east_m,north_m,up_m\n"
 

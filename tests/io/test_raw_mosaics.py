@@ -7,6 +7,7 @@ import pytest
 import rasterio
 
 from glintrack.io.raw_mosaics import raw_files, read_raw
+from glintrack.io.readings import collect_readings
 
 COUNTS = np.arange(8 * 12, dtype=np.uint16).reshape(8, 12) * 37
 
@@ -79,3 +80,11 @@ def test_folders_are_taken_in_order_and_names_must_differ(tmp_path):
     (tmp_path / "none").mkdir()
     with pytest.raises(ValueError, match="must hold raws"):
         raw_files([tmp_path / "none"])
+
+
+def test_other_files_of_a_folder_are_counted(tmp_path):
+    write(tmp_path / "a.tif", COUNTS)
+    (tmp_path / "a.raw").write_bytes(bytes(144))
+    with collect_readings() as readings:
+        assert raw_files([tmp_path]) == [tmp_path / "a.tif"]
+    assert (readings[0].found, readings[0].used) == (2, 1)

@@ -20,7 +20,7 @@ from glintrack.camera import Pose, from_yaw_pitch_roll, rotation
 from glintrack.core.arrays import Array
 from glintrack.io.crs import change_crs, check_not_exchanged
 from glintrack.io.readings import report_reading
-from glintrack.io.tables import finite_numbers, read_csv
+from glintrack.io.tables import read_csv, read_numbers
 from glintrack.io.untrusted import plain, read_text
 
 _MIN_STEP_M = 1e-6
@@ -174,17 +174,17 @@ def _read_csv(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
             f"`waypoint_file` must have the columns {', '.join(ENU)} or {', '.join(GEOGRAPHIC)}, and may "
             f"have time_s, {', '.join(ATTITUDE)}, order; got {', '.join(header) or 'none'} in {name}."
         )
-    place = finite_numbers(table, path, places[0])
+    place = read_numbers(table, path, places[0])
     place = place if places[0] is ENU else to_enu(place, datum_m)
     attitude = [key for key in ATTITUDE if key in header]
     if attitude and len(attitude) < len(ATTITUDE):
         raise ValueError(f"`waypoint_file` must give all of {', '.join(ATTITUDE)} or none; got {attitude}.")
-    time_s = finite_numbers(table, path, ("time_s",))[:, 0] if "time_s" in header else None
+    time_s = read_numbers(table, path, ("time_s",))[:, 0] if "time_s" in header else None
     report_reading(path, "points", len(place), len(place), notes=[f"columns {', '.join(header)}"])
     if not attitude:
         return Waypoints(place, time_s)
     orders = sorted({str(one).strip() for one in table["order"]}) if "order" in header else []
-    angles_rad = np.radians(finite_numbers(table, path, ATTITUDE))
+    angles_rad = np.radians(read_numbers(table, path, ATTITUDE))
     return Waypoints(place, time_s, _in_our_order(angles_rad, orders, name))
 
 
@@ -226,8 +226,9 @@ def _read_kml(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
     elements = [e for e in root.iter() if _tag(e) in ("LineString", "Track")]
     if not elements:
         raise ValueError(f"`waypoint_file` must hold a LineString or a gx:Track; got neither in {name}.")
-    parts = [_read_part(element, name) for element in elements]
     multi = [e for e in root.iter() if _tag(e) == "MultiTrack"]
+    modes = {track: _mode(parent, "clampToGround") for parent in multi for track in parent}
+    parts = [_read_part(element, name, modes.get(element, "clampToGround")) for element in elements]
     if not all(_follows(a, b, len(multi) == 1) for a, b in pairwise(parts)):
         texts = (f"{part.tag} of {len(part.degrees)} points" for part in parts[:6])
         raise ValueError(
@@ -262,9 +263,13 @@ def _follows(a: _Part, b: _Part, is_one_multitrack: bool) -> bool:
     return bool(a.seconds[-1] < b.seconds[0])
 
 
-def _read_part(element: Element, name: str) -> _Part:
+def _mode(element: Element, default: str) -> str:
+    return next((str(e.text).strip() for e in element if _tag(e) == "altitudeMode"), default)
+
+
+def _read_part(element: Element, name: str, default_mode: str) -> _Part:
     """Read a LineString or gx:Track."""
-    mode = next((str(e.text).strip() for e in element if _tag(e) == "altitudeMode"), "clampToGround")
+    mode = _mode(element, default_mode)
     if mode not in ("absolute", "relativeToGround"):
         raise ValueError(
             f"`waypoint_file` must have altitudeMode absolute or relativeToGround; got {mode} in {name}."

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from glintrack.core.arrays import Array
 from glintrack.io.orthoimages import Geotransform
 from glintrack.io.readings import report_reading
-from glintrack.io.tables import finite_numbers, numbers, read_csv
+from glintrack.io.tables import read_csv, read_numbers
 from glintrack.io.times import check_steps
 from glintrack.io.tracks import read_mot
 from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M, plain
@@ -119,7 +119,7 @@ def read_detections(
     if missing := [n for n in names if n not in table.columns]:
         known = plain(", ".join(map(str, table.columns)), _MAX_TEXT)
         raise ValueError(f"`features` must name columns of {path}; got {missing[0]!r}. It has {known}.")
-    features = numbers(table, path, names)
+    features = read_numbers(table, path, names, finite=False)
     features[~np.isfinite(features)] = np.nan
     return DetectionTable(time_s, position, _covariance(table, path, sigma_m), features, names)
 
@@ -140,13 +140,13 @@ def read_truth(path: Path, rate_hz: float | None = None, grid: Geotransform | No
     """
     rows, table = _read_rows(path, "truth", "vehicle_id", rate_hz, grid)
     if "visible_fraction" in table:
-        visible = finite_numbers(table, path, ("visible_fraction",))[:, 0]
+        visible = read_numbers(table, path, ("visible_fraction",))[:, 0]
         if visible.size and (visible.min() < 0 or visible.max() > 1):
             span = f"{visible.min():g} to {visible.max():g}"
             raise ValueError(f"`visible_fraction` must lie within 0 to 1; got {span} in {path}.")
         rows = rows.assign(visible_fraction=("row", visible))
     if "inside" in table:
-        inside = finite_numbers(table, path, ("inside",))[:, 0]
+        inside = read_numbers(table, path, ("inside",))[:, 0]
         if not np.isin(inside, (0, 1)).all():
             raise ValueError(f"`inside` must hold 0 or 1; got others in {path}.")
         rows = rows.assign(inside=("row", inside > 0))
@@ -173,7 +173,7 @@ def _read_rows(
             f"in row {k + 2} of {path}."
         )
     if all(c in table for c in _SPEEDS):
-        velocity = finite_numbers(table, path, _SPEEDS)
+        velocity = read_numbers(table, path, _SPEEDS)
     else:
         velocity = np.zeros_like(position)
         order = np.lexsort((time_s, ids))
@@ -206,7 +206,7 @@ def _identities(table: pd.DataFrame, path: Path, column: str) -> Float[Array, "r
     """Identities as numbers; where one is a text, they are numbered in the order in which they appear."""
     given = pd.Series(table[column])
     if pd.api.types.is_numeric_dtype(given) or given.isna().any():
-        return finite_numbers(table, path, (column,))[:, 0]
+        return read_numbers(table, path, (column,))[:, 0]
     return pd.factorize(given.astype(str).str.strip())[0].astype(float)
 
 
@@ -247,8 +247,8 @@ def _column_remedy(missing: Sequence[str], present: Sequence[str]) -> str:
 def _times_and_positions(
     table: pd.DataFrame, path: Path
 ) -> tuple[Float[Array, "row"], Float[Array, "row 2"]]:
-    position = finite_numbers(table, path, POSITION)
-    time_s = finite_numbers(table, path, ("time_s",))[:, 0]
+    position = read_numbers(table, path, POSITION)
+    time_s = read_numbers(table, path, ("time_s",))[:, 0]
     if np.abs(time_s).max(initial=0) > MAX_TIME_S:
         raise ValueError(f"`time_s` must be seconds within ±{MAX_TIME_S:g}; got others in {path}.")
     check_steps(time_s, "time_s", path)
@@ -270,9 +270,9 @@ def _covariance(table: pd.DataFrame, path: Path, sigma_m: float) -> Float[Array,
     if missing := [c for c in COVARIANCE[:2] if c not in present]:
         both = " and ".join(COVARIANCE[:2])
         raise ValueError(f"`{present[0]}` must come with {both}; got no {missing[0]} in {path}.")
-    out[:, 0, 0], out[:, 1, 1] = finite_numbers(table, path, COVARIANCE[:2]).T
+    out[:, 0, 0], out[:, 1, 1] = read_numbers(table, path, COVARIANCE[:2]).T
     if COVARIANCE[2] in present:
-        out[:, 0, 1] = out[:, 1, 0] = finite_numbers(table, path, COVARIANCE[2:])[:, 0]
+        out[:, 0, 1] = out[:, 1, 0] = read_numbers(table, path, COVARIANCE[2:])[:, 0]
     bad = np.flatnonzero(~((out[:, 0, 0] > 0) & (np.linalg.det(out) > 0))) if len(out) else np.empty(0, int)
     if bad.size:
         raise ValueError(

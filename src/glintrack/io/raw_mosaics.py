@@ -8,6 +8,7 @@ from jaxtyping import UInt
 
 from glintrack.core.arrays import Array
 from glintrack.io.read_raster import open_bands
+from glintrack.io.readings import report_reading
 from glintrack.io.untrusted import check_file, natural_order
 
 RAW_SUFFIXES = (".tif", ".tiff", ".png", ".npy")
@@ -31,7 +32,10 @@ def raw_files(sources: list[Path]) -> list[Path]:
     for source in sources:
         inside = [source]
         if source.is_dir():
-            inside = [p for p in source.iterdir() if p.suffix.lower() in RAW_SUFFIXES]
+            there = [p for p in source.iterdir() if p.is_file()]
+            inside = [p for p in there if p.suffix.lower() in RAW_SUFFIXES]
+            others = {f"not {' '.join(RAW_SUFFIXES)}": len(there) - len(inside)}
+            report_reading(source, "files", len(there), len(inside), others)
         if not inside:
             remedy = _UNPACK if any(p.suffix.lower() in _UNFRAMED for p in source.iterdir()) else ""
             raise ValueError(
@@ -78,7 +82,7 @@ def _check_type(path: Path, dtype: np.dtype, bands: int) -> None:
 
 def _read_raster(path: Path) -> Array:
     if path.suffix.lower() in _UNFRAMED and not path.with_suffix(".hdr").exists():
-        raise ValueError(f"`RAW` must be a file that states its size and bits; got {path}. {_UNPACK}.")
+        raise ValueError(f"`RAW` must be a file that states its size and bits; got {path}. {_UNPACK}")
     with open_bands(path, "RAW", "a raw mosaic") as file:
         _check_type(path, np.dtype(file.dtypes[0]), file.count)
         return file.read(1)
@@ -95,7 +99,7 @@ def _read_npy(path: Path) -> Array:
         ) from error
     if not isinstance(mapped, np.ndarray) or mapped.ndim != 2:
         shape = getattr(mapped, "shape", "no array")
-        raise ValueError(f"`RAW` must be one mosaic, rows × columns; got {shape} in {path}. {_UNPACK}.")
+        raise ValueError(f"`RAW` must be one mosaic, rows × columns; got {shape} in {path}. {_UNPACK}")
     dtype = mapped.dtype.newbyteorder("=")
     _check_type(path, dtype, 1)
     return np.array(mapped, dtype, order="C")

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from glintrack.core.arrays import Array
 from glintrack.io.readings import report_reading
-from glintrack.io.tables import numbers, read_csv
+from glintrack.io.tables import read_csv, read_numbers
 from glintrack.io.untrusted import read_text
 
 _WAVELENGTHS = {"wavelength_um": 1.0, "wavelength_nm": 1e-3}
@@ -62,7 +62,7 @@ def read_spectra(
         )
     if len(table) < 2:
         raise ValueError(f"`{key}` must have at least 2 rows; got {len(table)} in {path}.")
-    values = numbers(table, path, (axis, *limits))
+    values = read_numbers(table, path, (axis, *limits), finite=False)
     values[:, 0] *= _WAVELENGTHS[axis]
     if values[0, 0] > values[-1, 0]:
         values, notes = values[::-1], [*notes, "wavelengths fall: turned"]

@@ -100,8 +100,16 @@ def read_csv(
     return table.fillna("") if types is str else table
 
 
-def numbers(table: pd.DataFrame, path: Path, columns: Sequence[str]) -> Float[Array, "row column"]:
-    """Return columns of a table as numbers, NaN where empty; a ValueError names the cell that is none."""
+def read_numbers(
+    table: pd.DataFrame, path: Path, columns: Sequence[str], *, finite: bool = True
+) -> Float[Array, "row column"]:
+    """Return columns of a table as numbers, NaN where empty, which is refused if they must be finite.
+
+    Raises
+    ------
+    ValueError
+        With the column, row and content of a cell that is none.
+    """
     out = np.empty((len(table), len(columns)))
     for k, column in enumerate(columns):
         try:
@@ -115,16 +123,11 @@ def numbers(table: pd.DataFrame, path: Path, columns: Sequence[str]) -> Float[Ar
                 f"`{column}` must hold numbers; got {plain(repr(cell), _MAX_CELL)} in row {row + 2} of "
                 f"{path}.{number_hint(cell)}"
             )
-    return out
-
-
-def finite_numbers(table: pd.DataFrame, path: Path, columns: Sequence[str]) -> Float[Array, "row column"]:
-    """Return columns of a table as `numbers`, and refuse those that are missing or infinite."""
-    out = numbers(table, path, columns)
-    for row, column in np.argwhere(~np.isfinite(out))[:1]:
+    if finite and not np.isfinite(out).all():
+        row, k = np.argwhere(~np.isfinite(out))[0]
         raise ValueError(
-            f"`{columns[column]}` must be finite; got {out[row, column]:g} in row {row + 2} of {path}. "
-            f"Leave the row out."
+            f"`{columns[k]}` must be finite; got {out[row, k]:g} in row {row + 2} of {path}. "
+            "Leave the row out."
         )
     return out
 

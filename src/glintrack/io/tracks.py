@@ -167,7 +167,7 @@ def read_mot(path: Path, name: str, rate_hz: float | None, grid: Geotransform | 
     if columns < 6 or not (np.isfinite(boxes).all() and fits.all()):
         raise ValueError(
             f"`{name}` must be MOTChallenge text: frame from 1, id, left, top, and width and height above 0; "
-            f"got others in {path}."
+            f"got others in {path}. Add 1 to frames that count from 0."
         )
     if rate_hz is None:
         raise ValueError(f"`rate` must be given for frame numbers instead of times; got none for {path}.")
@@ -189,15 +189,12 @@ def read_mot(path: Path, name: str, rate_hz: float | None, grid: Geotransform | 
     if name == "truth" and columns == 9:
         table["visible_fraction"], marked = values[:, 8], values[:, 6] != 0
         used = marked & np.isin(values[:, 7], _VEHICLES)
-        gone = {
-            "flag 0": (~marked).sum(),
-            "class of no motor vehicle (car 3, motorbike 5)": (marked & ~used).sum(),
-        }
+        other = "class of no motor vehicle (car 3, motorbike 5)"
+        gone = {"flag 0": int((~marked).sum()), other: int((marked & ~used).sum())}
         if len(used) and not used.any():
             raise ValueError(f"`truth` must hold boxes of class 3 or 5, with flag 1; got none in {path}.")
-    report_reading(
-        path, "boxes", len(used), used.sum(), gone, [f"frame 1 is 0 s; {rate_hz:g} frames a second"]
-    )
+    note = f"frame 1 is 0 s; {rate_hz:g} frames a second"
+    report_reading(path, "boxes", len(used), int(used.sum()), gone, [note])
     return table.iloc[np.flatnonzero(used)].sort_values("time_s", kind="stable").reset_index(drop=True)
 
 

@@ -108,14 +108,6 @@ def is_file(path: Path) -> bool:
         return False
 
 
-def _read(path: str | Path, name: str, most_bytes: int) -> bytes:
-    path = check_file(path, name, most_bytes)
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"`{name}` must be a readable file; got {path}: {error.strerror}.") from error
-
-
 def read_bytes(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> bytes:
     """Bytes of a file, unzipped if it is a gzip or bzip2 archive; both of limited size.
 
@@ -158,7 +150,7 @@ def open_unzipped(path: str | Path, name: str) -> BufferedIOBase:
 
 
 def read_text(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> str:
-    """Text of a UTF-8 file, without a byte-order mark.
+    """Text of a UTF-8 file, without a byte-order mark, unzipped as by `read_bytes`.
 
     Raises
     ------
@@ -166,7 +158,7 @@ def read_text(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> 
         If the file cannot be read, is too large or not UTF-8.
     """
     try:
-        return _read(path, name, most_bytes).decode("utf-8-sig")
+        return read_bytes(path, name, most_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"`{name}` must be UTF-8 text; got {path} with a byte that is not.") from error
 

@@ -13,7 +13,7 @@ measured reflectance. It is synthetic: reflectance is measured, transmittance is
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
-from functools import lru_cache, partial
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
@@ -232,7 +232,7 @@ def _transmittance(
 ) -> Array:
     """Transmittance of a thin sheet of a material; 0 unless it is a leaf."""
     if design.transmittance_column is not None:
-        values = _read_user_spectrum(str(design.file), design.transmittance_column, wavelength, folder)
+        values = _read_user(str(design.file), design.transmittance_column, wavelength, folder)
     elif design.leaf_absorptance is not None and design.refractive_index is not None:
         values = leaf_transmittance(reflectance, design.leaf_absorptance, design.refractive_index)
     else:
@@ -254,21 +254,21 @@ def _optical_constants(
     if design.refractive_index is not None:
         pair = design.refractive_index, design.extinction_index
         return np.repeat(np.array(pair)[:, None], wavelength.size, axis=1)
-    name, read = design.optical_constants_file, partial(_read_user_spectrum, folder=folder)
-    if name is None:
-        name, read = design.optical_constants, partial(_read_packaged_spectrum, key="optical_constants")
-    return np.stack([read(str(name), column, wavelength) for column in ("n", "k")])
+    if (name := design.optical_constants_file) is not None:
+        return np.stack([_read_user(name, column, wavelength, folder) for column in "nk"])
+    name = str(design.optical_constants)
+    return np.stack([_read_packaged(name, column, wavelength, "optical_constants") for column in "nk"])
 
 
-def _read_user_spectrum(name: str, column: str, wavelength: Array, folder: Path | None) -> Array:
+def _read_user(name: str, column: str, wavelength: Array, folder: Path | None) -> Array:
     place = folder or Path()
     if not resolve_path(place / name).is_relative_to(resolve_path(place)) or not is_file(place / name):
         raise ValueError(f"`{name}` must be a file in the materials file's folder or below; got none there.")
     return _read_column(place / name, column, wavelength)
 
 
-def _read_packaged_spectrum(name: str, column: str, wavelength: Array, key: str) -> Array:
-    path = Path(str(resources.files("glintrack") / "data" / "spectra" / f"{name}.csv"))
+def _read_packaged(name: str, column: str, wavelength: Array, key: str) -> Array:
+    path = Path(str(resources.files("glintrack"))) / "data" / "spectra" / f"{name}.csv"
     if not (name.isidentifier() and len(name) <= 100 and path.is_file()):  # no path to another folder
         raise ValueError(f"`{key}` must be one of the packaged spectra; got {name!r}.")
     return _read_column(path, column, wavelength)
@@ -284,11 +284,11 @@ def _base(name: str, design: MaterialDesign, folder: Path | None, wavelength: Ar
     if design.constant is not None:
         base = np.full(wavelength.size, design.constant)
     elif design.file is not None:
-        base = _read_user_spectrum(design.file, design.column, wavelength, folder)
+        base = _read_user(design.file, design.column, wavelength, folder)
     else:
         base = np.zeros(wavelength.size)
         for part, weight in (design.mix or {str(design.spectrum): 1.0}).items():
-            base += weight * _read_packaged_spectrum(part, design.column, wavelength, "spectrum")
+            base += weight * _read_packaged(part, design.column, wavelength, "spectrum")
     darkest = float(base.min())
     highest = MAX_POLARIZED_SHARE * darkest / MAX_POLARIZED_REFLECTANCE
     if design.polarized_base > highest:

@@ -212,7 +212,8 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><fcd-export>&b;</fc
         ("f.csv", HEAD + "0.0;0;a;car;0;0\n", "must hold at least two time steps; got 1"),
         ("f.xml", as_xml()[:300], "`f.xml` must be whole, well-formed XML"),
         ("f.xml", BOMB, "`f.xml` must be plain XML without DTD or entities"),
-        ("f.xml", "<net/>", "must hold at least two time steps; got 0"),
+        ("f.xml", "<net/>", "the root element 'net', which is not fcd-export"),
+        ("f.xml", "<fcd-export/>", "must hold at least two time steps; got 0"),
         ("f.xml.gz", "not gzip", "`f.xml.gz` must be"),
     ],
 )

@@ -52,7 +52,6 @@ from glintrack.render.light.sky import (
 from glintrack.render.shading.hits import Hits, samples_of
 from glintrack.render.shading.materials import between_cosines, oren_nayar
 
-PLACE_COMPONENTS = 2  # the sky mirrored, and light off surfaces
 _ALPHA, _REFLECTANCE = 0.45, 0.04  # of the lobe; at normal incidence, of glass and bitumen
 _DIRECTIONS, _LOOKS = 512, 1024
 MAX_LOCAL = 4.0  # light off surfaces at a place, over that of the frame's mean surfaces

@@ -186,6 +186,9 @@ def _read_xml(path: Path) -> pd.DataFrame:
     try:
         with open_unzipped(path, path.name) as file:
             events = defusedxml.ElementTree.iterparse(file, events=("start", "end"), forbid_dtd=True)
+            _, root = next(events)
+            if root.tag != "fcd-export":
+                raise ValueError(f"the root element {root.tag[:40]!r}, which is not fcd-export")
             for event, element in events:
                 if event == "start" and element.tag == "timestep":
                     now = element.get("time", "nan")
