@@ -134,7 +134,7 @@ def build_flight(
     path = Path(design.waypoint_file)
     read = read_waypoints(path, crs, origin_m, design.waypoint_datum_m, design.start_s)
     waypoints = read.with_times(design.start_s, design.speed_m_s)
-    flight, times = Flight(design, sun_azimuth_rad, waypoints, seed), waypoints.clock_s
+    flight, times = Flight(design, sun_azimuth_rad, waypoints, seed), np.asarray(waypoints.time_s)
     first, last = flight.times_s[0], flight.times_s[-1]
     if first < times[0] - 1e-9 or last > times[-1] + 1e-9:
         raise ValueError(

@@ -75,7 +75,7 @@ class Waypoints:
 
     def at(self, time_s: float) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
         """Interpolate or extrapolate the position [m] and heading, roll, pitch [rad] at one time."""
-        times = self.clock_s
+        times = np.asarray(self.time_s)
         k = int(np.clip(np.searchsorted(times, time_s, side="right") - 1, 0, len(times) - 2))
         part = (time_s - times[k]) / (times[k + 1] - times[k])
         step = self.place_m[k + 1] - self.place_m[k]
@@ -93,13 +93,6 @@ class Waypoints:
             if np.hypot(east, north) > _MIN_STEP_M:
                 return float(np.arctan2(east, north))
         return 0.0
-
-    @property
-    def clock_s(self) -> Float[Array, "point"]:
-        """Times of waypoints that have them. [s]"""
-        if self.time_s is None:
-            raise ValueError("`waypoints` must have times; got none. See `with_times`.")
-        return self.time_s
 
 
 ENU = ("east_m", "north_m", "up_m")

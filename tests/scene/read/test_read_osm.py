@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from glintrack.io.readings import collect_readings
-from glintrack.scene.read.driving_side import keeps_left
-from glintrack.scene.read.osm import read_osm
+from glintrack.scene.read.osm import keeps_left, read_osm
 
 # importing sumo would set where PROJ seeks its database, for all tests after these
 needs_sumo = pytest.mark.skipif(importlib.util.find_spec("sumo") is None, reason="needs the extra `traffic`")

@@ -8,6 +8,8 @@ import re
 import tempfile
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib import resources
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -21,7 +23,6 @@ from shapely.geometry.base import BaseGeometry
 from glintrack.io.readings import collect_readings, report_reading
 from glintrack.io.untrusted import check_file, read_bytes
 from glintrack.scene.objects.surfaces import RoadNetwork
-from glintrack.scene.read.driving_side import keeps_left
 from glintrack.scene.read.polygons import (
     TOO_SMALL,
     Footprint,
@@ -241,3 +242,17 @@ def _outline(extract: _Extract, members: list[tuple[str, str]]) -> BaseGeometry 
         cut = area.contains(ring.representative_point()) if is_inner is None else is_inner
         area = area.difference(ring) if cut else area.union(ring) if area else ring
     return area if rings else _OPEN
+
+
+def keeps_left(longitude_deg: float, latitude_deg: float) -> bool:
+    """Return True if traffic keeps left at a place, by the country it lies in. [deg]"""
+    return bool(shapely.contains_xy(_left_hand_area(), longitude_deg, latitude_deg))
+
+
+@cache
+def _left_hand_area() -> BaseGeometry:
+    """Area of left-hand traffic in degrees, of Natural Earth's countries; good to about 3 km."""
+    path = resources.files("glintrack") / "data" / "traffic" / "left_hand.geojson"
+    area = shapely.from_geojson(path.read_text(encoding="utf-8"))
+    shapely.prepare(area)
+    return area

@@ -21,8 +21,7 @@ from glintrack.scene.objects.geometry import cut_into_tiles, polygons
 from glintrack.scene.objects.layout import MARGIN_M, Layout, area_with_margin, expand_extent
 from glintrack.scene.objects.plants import Tree, draw_tree
 from glintrack.scene.objects.surfaces import GroundPatch, RoadNetwork, blocks, road_areas
-from glintrack.scene.read.driving_side import keeps_left
-from glintrack.scene.read.osm import read_osm
+from glintrack.scene.read.osm import keeps_left, read_osm
 from glintrack.scene.read.polygons import Polygons, read_polygons
 from glintrack.scene.read.sumo import (
     FULL_MIX,
