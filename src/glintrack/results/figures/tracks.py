@@ -12,6 +12,7 @@ from glintrack.core.records import Extent
 from glintrack.core.schema import CHANNEL_WORDS
 from glintrack.results.figures import DOLP, LOOP_STYLES, MARKS, MAX_DOLP, NO_DATA, RADIANCE, label_axes
 
+QUERY_COLOUR = "#dc267f"
 # kind -> shape, area [pt²], label
 _SHAPES = {
     "true": ("o", 26, "true track"),
