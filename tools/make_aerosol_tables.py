@@ -13,7 +13,7 @@ from sasktran2.mie.distribution import integrate_mie_cpp
 from scipy.stats import lognorm
 
 DATA = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "atmosphere"
-COMPONENTS = ("dust", "water_soluble", "oceanic", "soot")
+COMPONENTS = ("dust", "water_soluble", "oceanic", "soot", "water")
 COEFFICIENTS = ("a1", "a2", "a3", "b1")
 MOMENTS = 128
 

@@ -42,9 +42,7 @@ def solved_in(design: AtmosphereDesign, um: float, d: Directions) -> tuple[Array
     terms: Medium = replace(
         medium,
         wavelength_um=repeated(medium.wavelength_um, 0),
-        aerosol_extinction=repeated(medium.aerosol_extinction, 1),
-        aerosol_albedo=repeated(medium.aerosol_albedo, 0),
-        aerosol_moments=repeated(medium.aerosol_moments, 0),
+        particles={name: kind.at(np.zeros(len(weights), int)) for name, kind in medium.particles.items()},
         gas_absorption=absorption.T,
     )
     solved = solve_fields(terms, d, GROUND_ALBEDO, design.streams)

@@ -16,7 +16,7 @@ SIXS = {
 UM = np.array([0.45, 0.76, 1.6])
 
 
-@pytest.mark.parametrize("aerosol", MIXTURES)
+@pytest.mark.parametrize("aerosol", SIXS)
 def test_against_6s(aerosol):
     optics = aerosol_optics(aerosol, UM)
     depth, albedo = (np.array(x) for x in SIXS[aerosol])
@@ -63,7 +63,7 @@ def test_removing_the_peak_keeps_what_is_scattered_aside():
 
 
 def test_unknown_aerosol_is_named():
-    with pytest.raises(ValueError, match="`aerosol` must be one of clear, maritime, urban; got 'fog'"):
+    with pytest.raises(ValueError, match="`aerosol` must be one of clear, maritime, urban, cloud; got 'fog'"):
         aerosol_optics("fog", UM)
 
 

@@ -77,3 +77,9 @@ def test_visibility_and_optical_depth_agree_by_koschmieder():
 def test_content_key_follows_the_content():
     assert AtmosphereDesign().content_key() == AtmosphereDesign(local_time_h=15).content_key()
     assert AtmosphereDesign().content_key() != AtmosphereDesign(local_time_h=17).content_key()
+
+
+def test_content_key_depends_on_the_cloud_only_where_there_is_one():
+    assert AtmosphereDesign(cloud_base_m=2000.0).content_key() == AtmosphereDesign().content_key()
+    low, high = (AtmosphereDesign(cloud_optical_depth=20.0, cloud_base_m=m) for m in (2000.0, 4000.0))
+    assert low.content_key() != high.content_key() != AtmosphereDesign().content_key()

@@ -34,6 +34,10 @@ def test_a_written_case_reads_back_the_same(tmp_path):
         ("sensor = 3", "`sensor` must be a table; got 3"),
         ("channels = []", r"`channels` must be a list of at least 1 item; got \[\]"),
         ("[sensor]\nband_um = [0.6, 0.5]", "`sensor.band_um` must rise within 0.4 to 2.5 µm; got 0.6 to 0.5"),
+        (
+            "[atmosphere]\ncloud_optical_depth = 20\ncloud_base_m = 1000",
+            "`flight.altitude_m` must be at most atmosphere.cloud_base_m, 1000; got 1928",
+        ),
         ("[flight]\naltitude_m = -5", "`flight.altitude_m` must be greater than or equal to 200 m; got -5 m"),
         (
             '[flight]\naltitude_m = "3 km"',

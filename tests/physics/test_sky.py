@@ -7,7 +7,7 @@ import sasktran2 as sk
 from glintrack.atmosphere import AtmosphereDesign
 from glintrack.atmosphere.assemble import build_medium
 from glintrack.atmosphere.gas import LEVELS_M, column_weights, exponential_profile, slant_weights
-from glintrack.atmosphere.solve import MOMENTS, Directions, Medium, solve_fields, solve_ground
+from glintrack.atmosphere.solve import MOMENTS, Directions, Medium, Particles, solve_fields, solve_ground
 from tests.oracles import rayleigh_adding_doubling
 
 HEIGHT = np.array(LEVELS_M, dtype=float)
@@ -21,9 +21,8 @@ def rayleigh_medium(optical_depth):
     moments[0, 0, 0] = 1.0
     moments[0, 0, 2], moments[0, 1, 2], moments[0, 3, 2] = 0.5, 3.0, np.sqrt(6) / 2
     profile = column_weights(exponential_profile(HEIGHT, 2000.0), HEIGHT)[:, None]
-    return Medium(
-        HEIGHT, np.array([0.55]), False, optical_depth * profile, np.ones(1), moments, 0.0 * profile
-    )
+    particles = {"air": Particles(optical_depth * profile, np.ones(1), moments)}
+    return Medium(HEIGHT, np.array([0.55]), False, particles, 0.0 * profile)
 
 
 def sky(optical_depth, mu0, albedo, zenith, azimuth):
@@ -142,7 +141,7 @@ def _reported_flux(medium, mu0, albedo):
     rays = sk.ViewingGeometry()
     rays.add_flux_observer(sk.FluxObserverSolar(mu0, 0.0))
     air = sk.Atmosphere(geometry, config, numwavel=1, calculate_derivatives=False)
-    air.storage.total_extinction[:] = medium.aerosol_extinction
+    air.storage.total_extinction[:] = medium.particles["air"].extinction
     air.storage.ssa[:] = 1.0
     coefficients = air.leg_coeff
     assert coefficients.a2 is not None and coefficients.b1 is not None

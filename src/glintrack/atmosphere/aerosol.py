@@ -20,6 +20,7 @@ MIXTURES: Mapping[str, Mapping[str, float]] = {
     "clear": {"dust": 0.70, "water_soluble": 0.29, "soot": 0.01},
     "maritime": {"water_soluble": 0.05, "oceanic": 0.95},
     "urban": {"dust": 0.17, "water_soluble": 0.61, "soot": 0.22},
+    "cloud": {"water": 1.0},  # droplets of stratus
 }
 
 

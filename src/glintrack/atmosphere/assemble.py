@@ -20,14 +20,22 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack.atmosphere import gas
-from glintrack.atmosphere.aerosol import AerosolOptics, aerosol_optics, without_forward_peak
-from glintrack.atmosphere.design import AEROSOL_TOP_M, GROUND_ALBEDO, SCALE_HEIGHT_M, AtmosphereDesign
+from glintrack.atmosphere.aerosol import aerosol_optics, without_forward_peak
+from glintrack.atmosphere.design import (
+    AEROSOL_TOP_M,
+    CLOUD_EDGE_M,
+    CLOUD_THICKNESS_M,
+    GROUND_ALBEDO,
+    SCALE_HEIGHT_M,
+    AtmosphereDesign,
+)
 from glintrack.atmosphere.solve import (
     MOMENTS,
     Directions,
     Fields,
     GroundLight,
     Medium,
+    Particles,
     solve_fields,
     solve_ground,
 )
@@ -138,23 +146,36 @@ def assemble_tables(
 
 def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
     """Optical properties by level and wavelength of a design; gases effective for the sun's slant path."""
-    height = np.array(gas.LEVELS_M, dtype=float)
-    wavelength_um = design.wavelength_um
-    if design.aerosol == "none":
-        nothing = np.zeros(wavelength_um.size)
-        optics = AerosolOptics(nothing, nothing, np.zeros((wavelength_um.size, 4, MOMENTS)))
-    else:
-        optics = without_forward_peak(aerosol_optics(design.aerosol, wavelength_um), MOMENTS)
-    profile = gas.column_weights(gas.exponential_profile(height, SCALE_HEIGHT_M, AEROSOL_TOP_M), height)
+    height, wavelength_um = np.array(gas.LEVELS_M, dtype=float), design.wavelength_um
+    base, top = design.cloud_base_m, design.cloud_base_m + CLOUD_THICKNESS_M
+    particles = {}
+    if design.cloud_optical_depth > 0:
+        height = np.union1d(height, [base, base + CLOUD_EDGE_M, top - CLOUD_EDGE_M, top])
+        inside = np.clip(np.minimum(height - base, top - height) / CLOUD_EDGE_M, 0, 1)
+        particles["cloud"] = _particles("cloud", design.cloud_optical_depth, inside, height, wavelength_um)
+    if design.aerosol_optical_depth_550 > 0:
+        profile = gas.exponential_profile(height, SCALE_HEIGHT_M, AEROSOL_TOP_M)
+        depth = design.aerosol_optical_depth_550
+        particles["aerosol"] = _particles(design.aerosol, depth, profile, height, wavelength_um)
     amounts = gas.gas_amounts(design.water_cm)
     return Medium(
         height_m=height,
         wavelength_um=wavelength_um,
         rayleigh=True,
-        aerosol_extinction=design.aerosol_optical_depth_550 * np.outer(profile, optics.extinction),
-        aerosol_albedo=optics.single_scattering_albedo,
-        aerosol_moments=optics.moments,
+        particles=particles,
         gas_absorption=gas.effective_absorption(amounts, height, cos_sun_zenith, wavelength_um),
+    )
+
+
+def _particles(
+    kind: str, depth_550: float, profile: Array, height_m: Array, wavelength_um: Array
+) -> Particles:
+    """Particles of a vertical optical depth at 0.55 µm with some profile."""
+    optics = without_forward_peak(aerosol_optics(kind, wavelength_um), MOMENTS)
+    return Particles(
+        extinction=depth_550 * np.outer(gas.column_weights(profile, height_m), optics.extinction),
+        albedo=optics.single_scattering_albedo,
+        moments=optics.moments,
     )
 
 
@@ -182,9 +203,7 @@ def _light_with_gases(
     terms = replace(
         medium,
         wavelength_um=medium.wavelength_um[band],
-        aerosol_extinction=medium.aerosol_extinction[:, band],
-        aerosol_albedo=medium.aerosol_albedo[band],
-        aerosol_moments=medium.aerosol_moments[band],
+        particles={name: kind.at(band) for name, kind in medium.particles.items()},
         gas_absorption=absorption.T,
     )
     ground = solve_ground(terms, d, design.streams, threads, progress)

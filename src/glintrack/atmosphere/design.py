@@ -23,6 +23,9 @@ SCALE_HEIGHT_M = 2000.0
 """Scale height of the aerosol's extinction. [m]"""
 AEROSOL_TOP_M = 30_000.0
 """Height above which there is no aerosol. [m]"""
+CLOUD_THICKNESS_M = 1000.0
+CLOUD_EDGE_M = 50.0  # in which the extinction of the cloud rises from zero, and falls
+CLOUD_ASYMMETRY = 0.864  # mean cosine of the scattering angle of droplets of 10 µm, at 0.55 µm
 DEFAULT_AOD_550 = {"none": 0.0, "clear": 0.10, "maritime": 0.15, "urban": 0.50}
 RAYLEIGH_EXTINCTION_550_PER_KM = 0.01159
 """Molecular extinction at 550 nm at the ground (Bucholtz, Appl. Opt. 34, 2765 (1995), Table 3). [km⁻¹]"""
@@ -45,6 +48,10 @@ class AtmosphereDesign(Design):
     """Meteorological range at the ground (2 % contrast at 0.55 µm); excludes aod_550."""
     aod_550: float | None = Field(default=None, ge=0, le=3)
     """Vertical aerosol optical depth at 0.55 µm; default clear 0.1, maritime 0.15, urban 0.5."""
+    cloud_optical_depth: float = Field(default=0.0, ge=0, le=100)
+    """Vertical optical depth at 0.55 µm of one unbroken layer of water cloud; 10 to 40 is an overcast sky."""
+    cloud_base_m: float = Field(default=4000.0, ge=LOWEST_SENSOR_M, le=12_000)
+    """Height of the base of the cloud above the ground; the sensor must be below it."""
     water_cm: float = Field(default=2.9, ge=0, le=10, description="Vertical column of precipitable water")
     sun_zenith_deg: float | None = Field(default=None, ge=0, le=HIGHEST_SUN_ZENITH_DEG)
     """Zenith angle of the sun; with sun_azimuth_deg, instead of place and time."""
@@ -127,9 +134,20 @@ class AtmosphereDesign(Design):
         column_km = SCALE_HEIGHT_M / 1e3 * (1 - math.exp(-AEROSOL_TOP_M / SCALE_HEIGHT_M))
         return at_ground_per_km * column_km
 
+    def cloud_transmittance(self, cos_sun_zenith: float) -> float:
+        """Share of the light of sun and sky that a cloud over black ground lets through, without absorption.
+
+        References
+        ----------
+        Asymptotic theory of thick layers, King, J. Atmos. Sci. 44, 1734 (1987), with van de Hulst's escape
+        function 3/7 (1 + 2 μ); at most 1, which it exceeds without a cloud.
+        """
+        escape = 3 / 7 * (1 + 2 * cos_sun_zenith)
+        return min(4 / 3 * escape / ((1 - CLOUD_ASYMMETRY) * self.cloud_optical_depth + 1.43), 1.0)
+
     def content_key(self) -> str:
         """Hash of the design's content and of the format of its tables: the same key, the same numbers."""
-        content = json.dumps(
-            {"design": self.model_dump(mode="json"), "format": FORMAT_VERSION}, sort_keys=True
-        )
+        no_cloud = () if self.cloud_optical_depth else ("cloud_optical_depth", "cloud_base_m")
+        values = self.model_dump(mode="json", exclude=set(no_cloud))
+        content = json.dumps({"design": values, "format": FORMAT_VERSION}, sort_keys=True)
         return content_hash(content, 32)

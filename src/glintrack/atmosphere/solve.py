@@ -7,12 +7,13 @@ light seen when looking at the azimuth (sun's azimuth + a) is its (I, Q, U) at a
 Coulson/Natraj rows and by the adding-doubling oracle in the tests.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import sasktran2 as sk
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from glintrack.atmosphere.gas import EARTH_RADIUS_M
@@ -30,6 +31,31 @@ _SLAB_M = 1000.0  # height of the Rayleigh slab
 
 
 @dataclass(frozen=True)
+class Particles:
+    """Scattering by one kind of particles.
+
+    Parameters
+    ----------
+    extinction
+        Shape (level, wavelength). [m⁻¹]
+    albedo
+        Single-scattering albedo, shape (wavelength,). [1]
+    moments
+        Phase matrix, shape (wavelength, 4, moment), see `aerosol.AerosolOptics`. [1]
+    """
+
+    extinction: Float[Array, "level wavelength"]
+    albedo: Float[Array, "wavelength"]
+    moments: Float[Array, "wavelength 4 moment"]
+
+    def at(self, bands: Int[Array, "band"] | slice) -> Self:
+        """Select some of the wavelengths."""
+        return replace(
+            self, extinction=self.extinction[:, bands], albedo=self.albedo[bands], moments=self.moments[bands]
+        )
+
+
+@dataclass(frozen=True)
 class Medium:
     """Optical properties of an atmosphere at its levels and wavelengths.
 
@@ -39,12 +65,8 @@ class Medium:
         Levels, from 0 upward. [m]
     rayleigh
         Whether air scatters (US standard atmosphere 1976).
-    aerosol_extinction
-        Shape (level, wavelength). [m⁻¹]
-    aerosol_albedo
-        Single-scattering albedo, shape (wavelength,). [1]
-    aerosol_moments
-        Phase matrix, shape (wavelength, 4, moment), see `aerosol.AerosolOptics`. [1]
+    particles
+        Aerosol and cloud droplets, by name.
     gas_absorption
         Shape (level, wavelength). [m⁻¹]
     """
@@ -52,9 +74,7 @@ class Medium:
     height_m: Float[Array, "level"]
     wavelength_um: Float[Array, "wavelength"]
     rayleigh: bool
-    aerosol_extinction: Float[Array, "level wavelength"]
-    aerosol_albedo: Float[Array, "wavelength"]
-    aerosol_moments: Float[Array, "wavelength 4 moment"]
+    particles: Mapping[str, Particles]
     gas_absorption: Float[Array, "level wavelength"]
 
 
@@ -111,7 +131,7 @@ class Fields:
     emitted
         Radiance leaving the ground in that solve, (wavelength,). [sr⁻¹]
     scattering_extinction
-        Air and aerosol, (level, wavelength). [m⁻¹]
+        Air, aerosol and cloud, (level, wavelength). [m⁻¹]
     """
 
     sky: Float[Array, "wavelength zenith azimuth 3"]
@@ -238,13 +258,13 @@ def _atmosphere(medium: Medium, chunk: slice, geometry: sk.Geometry1D, config: s
     sk.climatology.us76.add_us76_standard_atmosphere(air)
     if medium.rayleigh:
         air["air"] = sk.constituent.Rayleigh()
-    extinction = medium.aerosol_extinction[:, chunk]
-    if np.any(extinction > 0):
-        levels, bands = extinction.shape
-        albedo = np.broadcast_to(medium.aerosol_albedo[chunk], (levels, bands)).copy()
-        by_moment = medium.aerosol_moments[chunk].transpose(2, 1, 0)  # moment, coefficient, wavelength
+    for name, kind in medium.particles.items():
+        part = kind.at(chunk)
+        levels, bands = part.extinction.shape
+        albedo = np.broadcast_to(part.albedo, (levels, bands)).copy()
+        by_moment = part.moments.transpose(2, 1, 0)  # moment, coefficient, wavelength
         moments = np.repeat(by_moment.reshape(-1, 1, bands), levels, axis=1)
-        air["aerosol"] = sk.constituent.Manual(extinction, albedo, moments)
+        air[name] = sk.constituent.Manual(part.extinction, albedo, moments)
     gas = medium.gas_absorption[:, chunk]
     if np.any(gas > 0):
         air["gas"] = sk.constituent.Manual(gas.copy(), np.zeros_like(gas))

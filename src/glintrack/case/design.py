@@ -103,12 +103,15 @@ class Case(Design):
             self.track.replace({"detect.detector": self.track.detect.detector.replace("auto", "mosaic")})
         except ValueError as error:
             raise ValueError(str(error).replace("`", "`track.", 1)) from error
-        highest_m = max(self.atmosphere.altitudes_m)
-        if self.flight.kind != "waypoints" and self.flight.altitude_m > highest_m:
-            raise ValueError(
-                f"`flight.altitude_m` must be at most the highest of atmosphere.altitudes_m, {highest_m:g}; "
-                f"got {self.flight.altitude_m:g}."
-            )
+        limits = {"the highest of atmosphere.altitudes_m": max(self.atmosphere.altitudes_m)}
+        if self.atmosphere.cloud_optical_depth:
+            limits["atmosphere.cloud_base_m"] = self.atmosphere.cloud_base_m
+        for key, highest_m in limits.items():
+            if self.flight.kind != "waypoints" and self.flight.altitude_m > highest_m:
+                raise ValueError(
+                    f"`flight.altitude_m` must be at most {key}, {highest_m:g}; "
+                    f"got {self.flight.altitude_m:g}."
+                )
         widest_m = max(self.sensor.rows, self.sensor.columns) * self.sensor.pitch_m
         field_deg = math.degrees(2 * math.atan(widest_m / (2e-3 * self.sensor.focal_length_mm)))
         if field_deg > _WIDEST_FIELD_DEG:

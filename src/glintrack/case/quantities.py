@@ -117,7 +117,9 @@ def optics_quantities(case: Case) -> dict[str, float]:
 
 
 def ground_irradiance(case: Case, wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "wavelength"]:
-    """Irradiance of level ground under a case's sun and clear sky. [W m⁻² µm⁻¹]
+    """Irradiance of level ground under a case's sun and sky. [W m⁻² µm⁻¹]
+
+    Below a cloud it is that of a clear sky times `AtmosphereDesign.cloud_transmittance`.
 
     References
     ----------
@@ -138,7 +140,8 @@ def ground_irradiance(case: Case, wavelength_um: Float[Array, "wavelength"]) -> 
         aerosol_turbidity_500nm=air.aerosol_optical_depth_550 * (550 / 500) ** ANGSTROM_EXPONENT,
         dayofyear=air.date.timetuple().tm_yday,
     )
-    return np.interp(wavelength_um, 1e-3 * found["wavelength"], 1e3 * np.ravel(found["poa_global"]))
+    cloud = air.cloud_transmittance(math.cos(math.radians(zenith_deg))) if air.cloud_optical_depth else 1.0
+    return cloud * np.interp(wavelength_um, 1e-3 * found["wavelength"], 1e3 * np.ravel(found["poa_global"]))
 
 
 def haze_transmittance(case: Case) -> float:
