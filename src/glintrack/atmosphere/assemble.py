@@ -24,6 +24,7 @@ from glintrack.atmosphere.aerosol import aerosol_optics, without_forward_peak
 from glintrack.atmosphere.design import (
     AEROSOL_TOP_M,
     CLOUD_EDGE_M,
+    CLOUD_LAYERS,
     CLOUD_THICKNESS_M,
     GROUND_ALBEDO,
     SCALE_HEIGHT_M,
@@ -150,7 +151,8 @@ def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
     base, top = design.cloud_base_m, design.cloud_base_m + CLOUD_THICKNESS_M
     particles = {}
     if design.cloud_optical_depth > 0:
-        height = np.union1d(height, [base, base + CLOUD_EDGE_M, top - CLOUD_EDGE_M, top])
+        # layers of an optical depth near 1: the solver takes the source of a layer from its ends
+        height = np.union1d(height, np.linspace(base, top, CLOUD_LAYERS + 1))
         inside = np.clip(np.minimum(height - base, top - height) / CLOUD_EDGE_M, 0, 1)
         particles["cloud"] = _particles("cloud", design.cloud_optical_depth, inside, height, wavelength_um)
     if design.aerosol_optical_depth_550 > 0:

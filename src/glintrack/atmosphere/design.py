@@ -23,7 +23,7 @@ SCALE_HEIGHT_M = 2000.0
 """Scale height of the aerosol's extinction. [m]"""
 AEROSOL_TOP_M = 30_000.0
 """Height above which there is no aerosol. [m]"""
-CLOUD_THICKNESS_M = 1000.0
+CLOUD_THICKNESS_M, CLOUD_LAYERS = 1000.0, 40
 CLOUD_EDGE_M = 50.0  # in which the extinction of the cloud rises from zero, and falls
 CLOUD_ASYMMETRY = 0.864  # mean cosine of the scattering angle of droplets of 10 µm, at 0.55 µm
 DEFAULT_AOD_550 = {"none": 0.0, "clear": 0.10, "maritime": 0.15, "urban": 0.50}
