@@ -16,7 +16,13 @@ from tests.report import made
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-WIDTHS = (1280, 768, 390)
+WIDTHS = (2560, 1280, 768, 390)
+# labels in a picture that reach beyond it
+CUT_LABELS = (
+    "[...document.querySelectorAll('svg text')].filter(t => { const a = t.getBoundingClientRect(),"
+    "b = t.ownerSVGElement.getBoundingClientRect(); return a.width && (a.left < b.left - 1 ||"
+    "a.right > b.right + 1 || a.top < b.top - 1 || a.bottom > b.bottom + 1) }).map(t => t.textContent)"
+)
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="needs a chromium in the path"),
@@ -245,6 +251,7 @@ def test_it_fits_the_screen(opened, tmp_path, width):
     watched = opened(viewport={"width": width, "height": 900})
     page = watched.page
     assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.evaluate(CUT_LABELS) == []
     page.screenshot(path=str(tmp_path / f"page_{width}.png"), full_page=True)
     colours = page.evaluate(
         "(() => { const c = document.querySelector('canvas[data-kind=pan]');"
@@ -259,10 +266,10 @@ def test_it_fits_the_screen(opened, tmp_path, width):
     assert small == 0  # WCAG 2.2, target size
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_labels_and_contrast(opened, scheme):
+@pytest.mark.parametrize(("scheme", "width"), [("light", 1400), ("dark", 390)])
+def test_labels_and_contrast(opened, scheme, width):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs axe-playwright-python")
-    watched = opened(color_scheme=scheme)
+    watched = opened(color_scheme=scheme, viewport={"width": width, "height": 900})
     watched.page.select_option("#track", "7")
     watched.settle()
     assert watched.page.evaluate("document.documentElement.dataset.theme") == scheme

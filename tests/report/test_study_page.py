@@ -14,9 +14,9 @@ from tests.cli.test_cli import program
 from tests.study.cases import TWELVE, cheap, write_study
 
 try:
-    from tests.report.test_page_in_browser import CHROMIUM, Watched, browser  # noqa: F401 a fixture
+    from tests.report.test_page_in_browser import CHROMIUM, CUT_LABELS, Watched, browser  # noqa: F401
 except pytest.skip.Exception:  # no playwright
-    CHROMIUM = None
+    CHROMIUM, CUT_LABELS = None, ""
 
 
 @pytest.fixture
@@ -217,9 +217,10 @@ def test_it_sorts_and_filters_in_a_browser(folder, tmp_path, request):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs axe-playwright-python")
     found = axe.Axe().run(page).response["violations"]
     assert [(v["id"], [n["target"] for n in v["nodes"]]) for v in found] == []
-    for width in (1280, 768, 390):
+    for width in (2560, 1280, 768, 390):
         page.set_viewport_size({"width": width, "height": 900})
         assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.evaluate(CUT_LABELS) == []
         page.screenshot(path=str(tmp_path / f"study_{width}.png"), full_page=True)
     page.locator("#table tbody tr:visible a").first.click()
     assert page.title() == "a run's page"

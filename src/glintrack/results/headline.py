@@ -3,7 +3,6 @@
 import math
 from typing import NamedTuple
 
-from glintrack.core.schema import CHANNEL_WORDS
 from glintrack.results.losses import LOSSES, find_remedy, largest_loss
 from glintrack.results.read import Result
 from glintrack.results.verdict import (
@@ -16,6 +15,7 @@ from glintrack.results.verdict import (
     stage_shares,
 )
 
+_MEANINGS = {"pan": "pan (intensity)", "dolp": "DoLP (degree of polarization)", "all": "all elements"}
 _NO_LOSS = "Nowhere: every stage keeps all vehicles."
 _NO_REMEDY = "No recorded study says for this design. Compare two designs with `glintrack study`."
 _NO_BUDGET = "Not known, because the loss budget was not measured."
@@ -50,7 +50,7 @@ def headline(result: Result) -> Headline | None:
     if movers > 0 and math.isfinite(false):
         tracked += f", with {per_hundred(false / movers)} false tracks beside them"
     shares = [(k, float(of.get("completeness", math.nan))) for k, of in result.scores.items() if k != name]
-    others = [f"{CHANNEL_WORDS.get(k, k)} alone {per_hundred(n)}" for k, n in shares if math.isfinite(n)]
+    others = [f"{_MEANINGS.get(k, k)} alone {per_hundred(n)}" for k, n in shares if math.isfinite(n)]
     parts = [tracked, *([", ".join(others)] if others else [])]
     if loss is not None:
         remedy = find_remedy(loss.stage, result.case)
