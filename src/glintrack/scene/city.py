@@ -209,10 +209,11 @@ def build_scene(design: SceneDesign) -> City:
     ValueError
         If a file is missing or bad, or an extra or a system library is missing.
     """
-    library, mesh_materials = load_materials(design.polarized_bases), {}
+    options = design.polarized_bases, design.material_variation
+    library, mesh_materials = load_materials(*options), {}
     if design.materials_file:
         path = resolve_file(design.materials_file)
-        library, mesh_materials = load_user_materials(path, design.polarized_bases)
+        library, mesh_materials = load_user_materials(path, *options)
     index = material_index(library)
     site = SITES[design.city](design)
     panels = _panels(design, index, site.extent_m)  # a mesh's window is its own

@@ -99,6 +99,9 @@ class SceneDesign(Design):
     """TOML with further materials, and under [mesh] the material of each of the mesh's own."""
     polarized_bases: bool = False
     """Polarize the light of bases, for materials with a `polarized_base` (asphalt, concrete): Umov's law."""
+    material_variation: float = Field(default=0.0, ge=0, le=2)
+    """Scale of the variation of colour and gloss within a material and between vehicles: 1 as in the library,
+    0 for none."""
     dem_file: FileName | None = None
     """Heights of the ground, any raster with a CRS that GDAL reads; the scene is draped over it."""
     left_hand: bool | None = None

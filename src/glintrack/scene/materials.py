@@ -34,6 +34,7 @@ from glintrack.io.untrusted import is_file, resolve_path
 
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
+VARIATIONS = ("colour_variation", "gloss_variation", "vehicle_variation")
 _LIMITS = {"n": (1e-3, 100.0), "k": (0.0, 100.0)}  # of columns that hold no share of the light
 MAX_POLARIZED_REFLECTANCE = 0.0085  # of `polarized_base` = 1
 MAX_POLARIZED_SHARE = 0.8  # of the light of a base; refraction polarizes it too
@@ -59,6 +60,10 @@ class MaterialDesign(Design):
     groove_slope_deg: float = Field(default=0.0, ge=0, le=60)
     polarized_base: float = Field(default=0.0, ge=0, le=20)
     mottle: float = Field(default=0.0, ge=0, le=1)
+    toward: str | None = None
+    colour_variation: float = Field(default=0.0, ge=0, le=0.5)
+    gloss_variation: float = Field(default=0.0, ge=0, le=0.5)
+    vehicle_variation: float = Field(default=0.0, ge=0, le=0.5)
     share: float = Field(default=0.0, ge=0, le=1)
     gap_fraction: float = Field(default=0.0, ge=0, lt=1)
     leaf_absorptance: float | None = Field(default=None, gt=0, lt=1)
@@ -89,13 +94,15 @@ class MaterialDesign(Design):
 
 
 @lru_cache(maxsize=2)
-def load_materials(polarized_bases: bool = False) -> xr.Dataset:
+def load_materials(polarized_bases: bool = False, variation: float = 0.0) -> xr.Dataset:
     """Load the packaged library as a Dataset of schema ``materials``.
 
     Parameters
     ----------
     polarized_bases
         True: ``polarized_base`` has the library's values. False: it is 0.
+    variation
+        Factor of the library's ``colour_variation``, ``gloss_variation`` and ``vehicle_variation``. [1]
 
     Returns
     -------
@@ -111,10 +118,12 @@ def load_materials(polarized_bases: bool = False) -> xr.Dataset:
     data = resources.files("glintrack") / "data"
     table = tomllib.loads((data / "materials.toml").read_text(encoding="utf-8"))
     designs = {name: MaterialDesign(**entry) for name, entry in table.items()}
-    return _dataset(designs, None, polarized_bases)
+    return _dataset(designs, None, polarized_bases, variation)
 
 
-def load_user_materials(path: Path, polarized_bases: bool = False) -> tuple[xr.Dataset, dict[str, str]]:
+def load_user_materials(
+    path: Path, polarized_bases: bool = False, variation: float = 0.0
+) -> tuple[xr.Dataset, dict[str, str]]:
     """Load the packaged library, followed by a user's own materials.
 
     Parameters
@@ -123,7 +132,7 @@ def load_user_materials(path: Path, polarized_bases: bool = False) -> tuple[xr.D
         TOML file: one table per material, in the form of ``data/materials.toml`` (``file`` names a CSV in the
         folder of the TOML, with columns ``wavelength_um`` and ``reflectance``), and under ``[mesh]`` the
         material for each of a mesh's own.
-    polarized_bases
+    polarized_bases, variation
         See `load_materials`; for a user's materials too.
 
     Returns
@@ -139,7 +148,7 @@ def load_user_materials(path: Path, polarized_bases: bool = False) -> tuple[xr.D
     mesh = table.pop("mesh", {})
     if not (isinstance(mesh, dict) and all(isinstance(v, str) for v in mesh.values())):
         raise ValueError(f"`materials_file` must give names under [mesh]; got {mesh!r}.")
-    library = load_materials(polarized_bases)
+    library = load_materials(polarized_bases, variation)
     designs: dict[str, MaterialDesign] = {}
     for name, entry in table.items():
         if name in library["material"].values or name == "paint":
@@ -153,12 +162,14 @@ def load_user_materials(path: Path, polarized_bases: bool = False) -> tuple[xr.D
             raise ValueError(f"`{name}` must be a material: {reason}") from error
     if not designs:
         return library, mesh
-    own = _dataset(designs, path.parent, polarized_bases)
+    own = _dataset(designs, path.parent, polarized_bases, variation)
     both = xr.concat([library, own], dim="material", combine_attrs="override")
     return schema.check(both, "materials"), mesh
 
 
-def _dataset(designs: Mapping[str, MaterialDesign], folder: Path | None, polarized_bases: bool) -> xr.Dataset:
+def _dataset(
+    designs: Mapping[str, MaterialDesign], folder: Path | None, polarized_bases: bool, variation: float
+) -> xr.Dataset:
     """Dataset of schema ``materials``; ``file`` entries are in a folder."""
     wavelength = spectral.wavelength_grid()
     kinds = designs.values()
@@ -193,6 +204,8 @@ def _dataset(designs: Mapping[str, MaterialDesign], folder: Path | None, polariz
             "distribution": column(DISTRIBUTIONS.index(d.distribution) for d in kinds),
             "groove_slope": ("material", np.radians([d.groove_slope_deg for d in kinds]), {"units": "rad"}),
             "polarized_base": column(polarized_bases * d.polarized_base for d in kinds),
+            "toward": ("material", np.array([d.toward or "" for d in kinds], dtype=object)),
+            **{n: column(variation * getattr(d, n) for d in kinds) for n in VARIATIONS},
             "preview_rgb": (("material", "rgb"), np.stack(preview), {"units": "1"}),
         },
         coords={"material": list(designs), "wavelength": ("wavelength", wavelength, {"units": "um"})},

@@ -374,15 +374,15 @@ def set_diffuse(hit, place, scale, behind, followed, base, around):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def add_base_light(base, lights, row, q, u, width, total):
-    """Add a base's light; ``q`` and ``u`` are its polarized parts, the same in every channel."""
+def add_base_light(base, lights, row, share, q, u, width, total):
+    """Add a share of a base's light; ``q`` and ``u`` are its polarized parts, the same in every channel."""
     last = lights.shape[1] - 1
     for e in range(0, lights.shape[1], 4):  # four at a time: sums are read and written a quarter as often
         e1, e2, e3 = min(e + 1, last), min(e + 2, last), min(e + 3, last)
-        a = base[e]
-        b = base[e1] if e1 > e else np.float32(0.0)
-        c = base[e2] if e2 > e1 else np.float32(0.0)
-        d = base[e3] if e3 > e2 else np.float32(0.0)
+        a = share * base[e]
+        b = share * base[e1] if e1 > e else np.float32(0.0)
+        c = share * base[e2] if e2 > e1 else np.float32(0.0)
+        d = share * base[e3] if e3 > e2 else np.float32(0.0)
         for x in range(width):
             near = a * lights[row, e, x] + b * lights[row, e1, x]
             light = near + c * lights[row, e2, x] + d * lights[row, e3, x]

@@ -235,6 +235,9 @@ class MaterialTables(NamedTuple):
     weight, mottle, groove, polarized
         Specular weight, mottle [1], slope of Oren–Nayar's grooves [rad], and scale of the base's own
         polarization (`polarized_base`) [1] of each material.
+    toward, variation
+        Material toward whose base this one varies, −1 for none; and standard deviations of the reflectance
+        between vehicles, of that material's share, and of the interface, and the least share. [1]
     leaf
         True for a material that transmits light.
     alpha, distribution, terms
@@ -256,6 +259,8 @@ class MaterialTables(NamedTuple):
     mottle: Float[Array, "material"]
     groove: Float[Array, "material"]
     polarized: Float[Array, "material"]
+    toward: Int[Array, "material"]
+    variation: Float[Array, "material 4"]
     leaf: Bool[Array, "material"]
     alpha: Float[Array, "optics"]
     distribution: Int[Array, "optics"]
@@ -271,7 +276,7 @@ def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "waveleng
     """Convert a dataset of schema ``materials`` to tables for wavelengths inside its range.
 
     Optional variables: ``distribution`` (index into `materials.DISTRIBUTIONS`), ``groove_slope`` [rad],
-    ``polarized_base``.
+    ``polarized_base``, ``toward`` and the three variations.
     """
 
     def column(name: str) -> Array:
@@ -310,12 +315,22 @@ def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "waveleng
     mean = 2 * np.trapezoid(COSINES * passed, COSINES, axis=1)
     grooved = np.stack([_groove_albedo(float(g)) for g in groove])
     leaf = materials["transmittance"].values.max(axis=1) > 0 if "transmittance" in materials else optics < 0
+    names, spreads = list(materials["material"].values), ("vehicle", "colour", "gloss")
+    variation = np.stack([column(f"{name}_variation") for name in spreads], axis=1)
+    others = materials["toward"].values if "toward" in materials else np.full(len(names), "")
+    toward = np.array([names.index(other) if other else k for k, other in enumerate(others)])
+    rho = materials["reflectance"].values
+    step = rho[toward] - rho
+    room = np.where(step > 0, rho, 1 - rho)  # until the base has no reflectance, or all
+    least = -np.divide(room, abs(step), out=np.ones_like(rho), where=abs(step) > room).min(axis=1)
     return MaterialTables(
         optics=optics.astype(np.int64),
         weight=weight,
         mottle=column("mottle"),
         groove=groove,
         polarized=column("polarized_base"),
+        toward=np.where(variation.any(axis=1), toward, -1),
+        variation=np.column_stack([variation, least]).astype(np.float32),
         leaf=leaf,
         alpha=np.array([a for _, _, a, _ in classes]),
         distribution=np.array([s for *_, s in classes]),

@@ -47,6 +47,8 @@ _APART = 77  # cells between the octaves
 _ZERO, _ONE, _TWO, _THREE, _FINE, _COARSE = (np.float32(x) for x in (0, 1, 2, 3, 0.25, 0.0625))
 # of the lattice's planes, so that walls are mottled too
 _LEAN_X, _LEAN_Y = np.float32(0.37), np.float32(0.61)
+_UNIT = np.float32(math.sqrt(3) / 1.6)  # makes the variance of the lattice's values 1
+_HALF, _PER_PATCH, _PATCHED = (np.float32(x) for x in (0.5, 0.2, 1.3))  # 1/m, 1/m; 19 % of the patches differ
 _NORMAL_INCIDENCE = np.float32(1e-12)
 
 
@@ -80,6 +82,29 @@ def _mottle(px, py, pz, contrast, lattice):
     noise = _octave(lattice, x * _FINE, y * _FINE, 0)
     noise += _octave(lattice, x * _COARSE, y * _COARSE, _APART)
     return max(_ONE + contrast * noise, _ZERO)
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def _vary(px, py, pz, vehicle, spread, lattice):
+    """Factor of reflectance of a vehicle's paint, share of the other base, and factor of the interface.
+
+    Noise over the place, for ground and walls: smooth on 2 m and 16 m, and rectangular patches of 5 m, such
+    as repairs. One draw each, for a vehicle.
+    """
+    shade, colour, gloss = spread
+    last = _LATTICE - 1
+    if vehicle >= 0:
+        i, j = int(vehicle) & last, (int(vehicle) // _LATTICE) & last
+        scale = max(_ONE + shade * _UNIT * lattice[i, j], _ZERO)
+        share, shine = _UNIT * lattice[i, (j + _APART) & last], _UNIT * lattice[(i + _APART) & last, j]
+    else:
+        scale, x, y = _ONE, px + _LEAN_X * pz, py + _LEAN_Y * pz
+        i, j = math.floor(x * _PER_PATCH), math.floor(y * _PER_PATCH)
+        patch = lattice[(int(i) + 1000) & last, (int(j) + 1000) & last]
+        patch = patch if abs(patch) > _PATCHED else _ZERO
+        share = _octave(lattice, x * _HALF, y * _HALF, 2 * _APART) + patch
+        shine = _octave(lattice, x * _COARSE, y * _COARSE, 3 * _APART) + patch
+    return scale, colour * share, max(_ONE + gloss * shine, _ZERO)
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
@@ -194,19 +219,23 @@ def shade_pixels(start, stop, index, frame, out):
     samples = 0
     for element in index[start:stop]:
         samples += frame.rays.first[element + 1] - frame.rays.first[element]
-    bases, mirrored = _bases(frame.light.lit, frame.light.irradiance.shape[1]), np.empty((samples, 2))
+    bases, mirrored = _bases(frame.light.lit, frame.light.irradiance.shape[1]), np.empty((samples, 3))
     _shade_bases(index[start:stop], frame, bases, mirrored, out[start:stop])
     _add_interfaces(index[start:stop], frame, bases, mirrored, out[start:stop])
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _shade_bases(index, frame, bases, mirrored, out):
-    """Fill ``out`` with path radiance and bases, and ``mirrored`` with the `mirror_place` of each sample."""
+    """Fill ``out`` with path radiance and bases, ``mirrored`` with what `_add_interfaces` needs of samples.
+
+    These are the two values of `mirror_place`, and the factor of the interface by `_vary`.
+    """
     rays, surfaces, light, sun, lattice = frame.rays, frame.surfaces, frame.light, frame.sun, frame.lattice
     probes, axis, grid, at_angle = _probes(rays, light), rays.detector_axis, light.grid, surfaces.at_angle
     cells, probes_lit, irradiance, near_sun = probes.cells, probes.lit, probes.irradiance, probes.near_sun
     lit, lit_step, lit_here, base, around = bases
-    leaf, width, sample = surfaces.leaf, out.shape[2], -1
+    leaf, toward, variation = surfaces.leaf, surfaces.toward, surfaces.variation
+    width, sample = out.shape[2], -1
     for j in range(len(index)):
         element, total, ground = index[j], out[j], 0.0
         for ray in range(rays.first[element], rays.first[element + 1]):
@@ -229,7 +258,15 @@ def _shade_bases(index, frame, bases, mirrored, out):
             contrast = np.float32(surfaces.mottle[m]) if rays.vehicle_id[ray] < 0 else _ZERO
             px, py, pz = rays.point[ray, 0], rays.point[ray, 1], rays.point[ray, 2]
             scale = float(rays.weight[ray]) / math.pi * _mottle(px, py, pz, contrast, lattice)
-            enter, even, _, degree = interpolate_angles(at_angle, m, view)
+            enter, even, reflected, degree = interpolate_angles(at_angle, m, view)
+            other, share, gloss = toward[m], _ZERO, _ONE
+            if other >= 0:
+                spread = variation[m, 0], variation[m, 1], variation[m, 2]
+                factor, share, gloss = _vary(px, py, pz, rays.vehicle_id[ray], spread, lattice)
+                share = min(max(share, variation[m, 3]), _ONE)
+                # what the interface reflects more does not reach the base
+                scale *= factor * max(1 - gloss * reflected, 0) / max(1 - reflected, 1e-3)
+            mirrored[sample, 2] = gloss
             enter *= groove_factor(hit, sun, surfaces.groove[m])
             q, u = -degree * turn_c, degree * turn_s
             base[0], on_body = 0.0, place.cell <= SPACE and not leaf[m]
@@ -253,7 +290,11 @@ def _shade_bases(index, frame, bases, mirrored, out):
                     mirrored[sample, 0], mirrored[sample, 1] = seen
                 lit_row = m + behind * leaf.shape[0]
                 fill_air_row(lit, step, lit_row, lit_step, lit_here, width)
-                add_base_light(base, lit_here, lit_row, q, u, width, total)
+                add_base_light(base, lit_here, lit_row, _ONE - share, q, u, width, total)
+                if share != 0:
+                    lit_row = other + behind * leaf.shape[0]
+                    fill_air_row(lit, step, lit_row, lit_step, lit_here, width)
+                    add_base_light(base, lit_here, lit_row, share, q, u, width, total)
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
@@ -280,7 +321,7 @@ def _add_interfaces(index, frame, bases, mirrored, out):
                 fill_air_row(lights, space, 0, step_of, here, width)
                 _add_mirrored_light(own, block, here, 0, width, total)
                 continue
-            ground = True
+            ground, share = True, share * mirrored[sample, 2]
             nx, ny, nz = rays.normal[ray, 0], rays.normal[ray, 1], rays.normal[ray, 2]
             view, sunward, _, _ = _incidence(dx, dy, dz, nx, ny, nz, sun, axis)
             sunlight, k = float(rays.sun_visible[ray]), surfaces.optics[m]
