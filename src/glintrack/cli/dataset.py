@@ -18,7 +18,7 @@ from glintrack.cli.options import (
 from glintrack.dataset import BASELINES, SCORES, build_dataset, plan_dataset, score_baselines
 
 _HEADS = {
-    "completeness": "tracked,\nof all",
+    "completeness": "share\nof all",
     "completeness_visible": "of\nvisible",
     "purity": "\npurity",
     "idf1": "\nIDF1",
