@@ -11,6 +11,7 @@ from matplotlib.image import imread
 from typer.testing import CliRunner
 
 from glintrack.case.design import Case
+from glintrack.cli import scene
 from glintrack.cli.app import app
 from glintrack.scene import SceneDesign, build_scene, glb
 from glintrack.scene.read.fcd import read_fcd
@@ -88,6 +89,31 @@ def test_build_says_how_to_run_a_case_over_a_file_from_elsewhere(tmp_path):
         assert done.exit_code == 0, done.output
         assert (f"`glintrack run {made} --allow-outside-paths`" in done.output) == said
         assert Case.from_toml(made, said).scene.materials_file
+
+
+def test_build_solves_the_sky_that_runs_read(tmp_path, monkeypatch):
+    city = build_scene(SceneDesign(width_m=120, height_m=80, trees=False))
+    monkeypatch.setattr(scene, "build_scene", lambda design: city)
+    solved = []
+
+    def build(name, solve, is_solved, *words):
+        monkeypatch.setattr(scene, "solve_tables", solve)
+        monkeypatch.setattr(scene, "is_solved", lambda design: is_solved)
+        done = run(app, ["scene", "build", *words, "-o", str(tmp_path / name)])
+        assert done.exit_code == 0 and (tmp_path / name).is_file(), done.output
+        return done.output
+
+    def note(design, progress):
+        solved.append(design)
+
+    def refuse(design, progress):
+        raise ValueError("`local_time_h` must put the sun higher.")
+
+    assert "solved the sky in" in build("a.toml", note, False)
+    assert "is solved already" in build("b.toml", note, True)
+    assert "the sky" not in build("c.toml", note, False, "--no-sky")
+    assert "warning: the sky is not solved: `local_time_h`" in build("d.toml", refuse, False)
+    assert solved == [Case.from_toml(tmp_path / "a.toml").atmosphere]
 
 
 @pytest.mark.parametrize("time_s", ["inf", "nan", "1e308"])

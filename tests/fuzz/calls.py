@@ -156,9 +156,9 @@ CALLS = (
     _call("render @case.toml --cube -o >cube.hdr"),
     _call("render @case.toml --cube -o >cube.zarr"),
     _call("scene build --mesh @mesh.obj --materials @materials.toml --crs EPSG:32618 "
-          "--origin 287900 4779100 -o >built.toml"),
-    _call("scene build --sumo-net @net.xml --polygons @polygons.xml --traffic @fcd.csv -o >built.toml",
-          refused=True),
+          "--origin 287900 4779100 --no-sky -o >built.toml"),
+    _call("scene build --sumo-net @net.xml --polygons @polygons.xml --traffic @fcd.csv --no-sky "
+          "-o >built.toml", refused=True),
     _call("scene preview @scene.toml -o >view.png --width 64"),
     _call("scene export @scene.toml >scene.glb"),
     _call("scene traffic embedded --fcd @fcd.csv -o >traffic.csv", refused=True),

@@ -7,8 +7,10 @@ from typing import Annotated, Literal
 import numpy as np
 from rich.console import Console
 
-from glintrack.case.design import read_table
+from glintrack.atmosphere import AtmosphereDesign, is_solved, solve_tables
+from glintrack.case.design import Case, read_table
 from glintrack.cli.options import (
+    Bar,
     argument,
     check_output,
     command_app,
@@ -18,6 +20,7 @@ from glintrack.cli.options import (
     show_wait,
 )
 from glintrack.core.designs import validate_design
+from glintrack.core.units import format_duration
 from glintrack.io import atomic, images
 from glintrack.io.toml import to_toml
 from glintrack.io.untrusted import resolve_path
@@ -54,8 +57,9 @@ def build(
     buildings: Annotated[
         bool | None, option("Build houses by rule where a network has none [default: if it has no house]")
     ] = None,
+    sky: Annotated[bool, option("Solve the sky over the city, which the first run needs")] = True,
 ) -> None:
-    """Build a city from data, list the assumptions, and write a case over it."""
+    """Build a city from data, list the assumptions, write a case over it, and solve its sky."""
     atomic.check_new(output)
     check_output(output)
     given = [name for name, value in (("osm", osm), ("net", sumo_net), ("mesh", mesh)) if value]
@@ -99,6 +103,8 @@ def build(
         f"wrote {output}: try `glintrack scene preview {output} -o view.png`, "
         f"`glintrack run {output}{allowed}`"
     )
+    if sky:
+        _solve_sky(Case.from_toml(output, allow_outside_paths=True).atmosphere, console)
 
 
 @app.command("preview")
@@ -184,6 +190,22 @@ def traffic(
         f"wrote {output}: {recording.traffic.first.size} vehicles in {recording.traffic.duration_s:g} s, "
         "for `traffic_file` of the scene"
     )
+
+
+def _solve_sky(design: AtmosphereDesign, console: Console) -> None:
+    """Solve the sky of a case into the cache, unless it is there; warn if the sun is too low."""
+    if is_solved(design):
+        console.print("the sky is solved already")
+        return
+    started = time.perf_counter()
+    try:
+        with Bar(console, transient=True) as bar:
+            task = bar.add_task("solving the sky, once for a place and time of day", total=1.0)
+            solve_tables(design, lambda done: bar.update(task, completed=done))
+    except ValueError as error:
+        console.print(f"warning: the sky is not solved: {error} Set [atmosphere] of the case.")
+        return
+    console.print(f"solved the sky in {format_duration(time.perf_counter() - started)}; runs read it again")
 
 
 def _absolute(name: Path | str | None) -> str | None:

@@ -87,8 +87,8 @@ class SceneDesign(Design):
     osm_file: FileName | None = None
     """OpenStreetMap XML, .osm, plain, or in a gzip or bzip2 archive."""
     fill_blocks: bool | None = None
-    """Build houses by rule on land where the files have none. By default only if they have none at all; a
-    motorway needs `false`."""
+    """Build houses by rule on land where the files have none, except within 40 m of a motorway. By default
+    only if they have none at all."""
     mesh_file: FileName | None = None
     """Triangles: .glb, .gltf, .obj, .ply or .stl."""
     mesh_up: Literal["y", "z"] | None = None

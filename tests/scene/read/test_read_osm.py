@@ -158,6 +158,15 @@ def test_multipolygons_of_several_ways_old_style_and_with_islands(tmp_path):
 
 
 @needs_sumo
+def test_bridges_are_counted_and_their_place_is_stated(tmp_path):
+    text = _Areas().text().replace('<tag k="highway"', '<tag k="bridge" v="yes"/><tag k="highway"', 2)
+    (tmp_path / "b.osm").write_text(text, encoding="utf-8")
+    with collect_readings() as readings:
+        read_osm(tmp_path / "b.osm", tmp_path / "n.net.xml")
+    assert readings[0].notes == ("2 of them are bridges, which lie on the ground",)
+
+
+@needs_sumo
 def test_streets_in_tunnels_are_none_on_the_ground(tmp_path):
     text = _Areas().text()
     texts = text, text.replace('<tag k="highway"', '<tag k="tunnel" v="yes"/><tag k="highway"', 1)
@@ -167,7 +176,7 @@ def test_streets_in_tunnels_are_none_on_the_ground(tmp_path):
         with collect_readings() as readings:
             network, _, _ = read_osm(tmp_path / f"{name}.osm", tmp_path / "n.net.xml")
         lengths.append(sum(lane.line.length for lane in network.of_kind("car")))
-    assert readings[0].left_out == (("in a tunnel", 1),)
+    assert readings[0].left_out == (("in a tunnel", 1),) and not readings[0].notes
     assert lengths[1] == pytest.approx(lengths[0] * 7 / 8, rel=0.1)
 
 

@@ -78,8 +78,9 @@ BOMB = '<?xml version="1.0"?><!DOCTYPE b [<!ENTITY a "aaaa"><!ENTITY c "&a;&a;&a
         ("<net/>", "must hold at least one lane"),
         (NET.replace("0,-5 100,-5", "0,nan 100,-5"), "must give coordinates in metres within"),
         (NET.replace("0,-5 100,-5", "zero"), "must give shapes as"),
+        (NET.replace("100,-1.6,0", "100,-1.6,up"), "must give heights of lanes as numbers"),
     ],
-    ids=["entity bomb", "truncated", "other root", "no lanes", "not a number", "not a shape"],
+    ids=["entity bomb", "truncated", "other root", "no lanes", "not a number", "not a shape", "not a height"],
 )
 def test_bad_files_are_refused_in_one_sentence(tmp_path, content, words):
     path = tmp_path / "n.net.xml"

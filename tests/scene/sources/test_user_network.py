@@ -12,6 +12,7 @@ from shapely.geometry import Polygon
 
 from glintrack.core import schema
 from glintrack.core.installation import MissingExtraError
+from glintrack.io.readings import collect_readings
 from glintrack.scene import SceneDesign, build_scene, record_traffic
 from glintrack.scene.objects.surfaces import Lane, RoadNetwork, road_areas
 from glintrack.scene.read.polygons import Footprint, Polygons
@@ -135,6 +136,42 @@ def test_no_houses_are_built_where_blocks_are_not_filled(files, monkeypatch):
     assert not any("filled" in sentence for sentence in plain.assumptions)
     with pytest.raises(AssertionError, match="houses by rule"):
         build_scene(tiny(files, seed=2))
+
+
+def two_roads(path, kind, speed):
+    """A road through the window's middle, of a class or a speed limit, and a street that crosses it."""
+    edge = '<edge id="{0}" from="a" to="b" type="{1}">{2}</edge>'
+    lane = '<lane id="{0}_0" index="0" speed="{1}" length="400" width="3.2" shape="{2}"/>'
+    fast = edge.format("fast", kind, lane.format("fast", speed, "-300,0,6 400,0,0"))
+    slow = edge.format("slow", "highway.residential", lane.format("slow", 13, "50,-300 50,300"))
+    path.write_text(f"<net>{fast}{slow}</net>")
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("kind", "speed", "is_clear"),
+    [
+        ("highway.motorway", 20, True),
+        ("highway.motorway_link", 20, True),
+        ("", 33, True),
+        ("", 13, False),
+        ("highway.primary", 33, False),
+    ],
+)
+def test_no_house_is_built_along_a_motorway(files, kind, speed, is_clear):
+    path = two_roads(files / "m.net.xml", kind, speed)
+    design = SceneDesign(
+        city="net", net_file=path, traffic_file=str(files / "f.xml"), centre_m=(50.0, 0.0),
+        width_m=300, height_m=240, trees=False,
+    )  # fmt: skip
+    with collect_readings() as readings:
+        city = build_scene(design)
+    east, north, up = city.static.vertices.T
+    houses = np.abs(north[(up > 2.0) & (np.abs(east) < 150)])
+    assert houses.size and (houses.min() > 40) == is_clear
+    assert any("within 40 m of motorways" in sentence for sentence in city.assumptions) == is_clear
+    (lanes,) = (reading for reading in readings if reading.content == "lanes")
+    assert lanes.notes == ("heights of 0 to 6 m are not used: bridges and ramps lie on the ground",)
 
 
 def test_streets_through_buildings_are_told(files):

@@ -46,6 +46,8 @@ class Lane:
         True if a traffic light stands at its end.
     street_type
         The network's own name of the street's class, e.g. ``highway.residential``.
+    is_motorway
+        True for motorways and their ramps, along which nothing is built.
     """
 
     edge_id: str
@@ -55,6 +57,7 @@ class Lane:
     width_m: float
     signalled: bool = False
     street_type: str = ""
+    is_motorway: bool = False
 
     @property
     def line(self) -> LineString:

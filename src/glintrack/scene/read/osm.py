@@ -126,11 +126,12 @@ def _prepare(path: Path, root: Element, types: set[str]) -> bytes:
     SUMO ignores a node after the ways, and a way after the relations.
     """
     gone: Counter[str] = Counter()
-    streets, elements = 0, list(root)
+    streets, bridges, elements = 0, 0, list(root)
     for element in elements:
         tags = _tags(element) if element.tag == "way" else {}
         value = tags.get("highway")
         streets += value is not None
+        bridges += value is not None and tags.get("bridge", "no") != "no"
         deleted = element.get("action") == "delete" or element.get("visible") == "false"
         hidden = tags.get("tunnel", "no") not in _TUNNELS and ("railway" in tags or value is not None)
         if deleted or hidden:
@@ -138,7 +139,8 @@ def _prepare(path: Path, root: Element, types: set[str]) -> bytes:
             gone.update(["in a tunnel" if hidden else "deleted"] if value else [])
         elif value and (f"highway.{value}" not in types or value == "construction"):
             gone.update([f"no street for SUMO: highway={value[:_MAX_NAME]}"])
-    report_reading(path, "streets", streets, streets - gone.total(), gone)
+    notes = [f"{bridges} of them are bridges, which lie on the ground"] if bridges else []
+    report_reading(path, "streets", streets, streets - gone.total(), gone, notes)
     found = [_KINDS.get(element.tag, -1) for element in root]
     if found == sorted(found) and len(root) == len(elements):
         return read_bytes(path, path.name)

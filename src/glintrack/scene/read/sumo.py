@@ -34,6 +34,8 @@ from glintrack.scene.traffic import FORMAT, Recording, read_recording, write_rec
 from glintrack.scene.vehicles import load_vehicles
 
 _MAX_PHASE_S = 600.0
+_MIN_MOTORWAY_SPEED_M_S = 25.0  # of an edge without a type: more than 90 km/h
+_MIN_HEIGHT_RANGE_M = 0.5  # below which a network is flat
 _MAX_LANE_WIDTH_M = 100.0  # walking areas are outlines
 _MOTOR = frozenset({"passenger", "delivery", "bus", "taxi", "private", "truck", "coach"})
 _RAIL = frozenset({"tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway", "cable_car"})
@@ -82,7 +84,12 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
         raise ValueError(f"`{path.name}` must hold at least one lane with a shape; got none.")
     count = sum(1 for edge in edges for _ in edge.iter("lane"))
     report_reading(
-        path, "lanes", count, len(lanes), {"no road, rail, pavement or crossing": count - len(lanes)}
+        path,
+        "lanes",
+        count,
+        len(lanes),
+        {"no road, rail, pavement or crossing": count - len(lanes)},
+        _height_notes(path, edges),
     )
     motor_lanes = {lane.get("id") for edge in edges for lane in edge if _kind(edge, lane) == "car"}
     junctions = tuple(
@@ -147,9 +154,24 @@ def _lanes(path: Path, edge: Element, signalled: bool) -> list[Lane]:
                 width_m=width_m,
                 signalled=signalled and kind == "car",
                 street_type=edge.get("type", ""),
+                is_motorway=_is_motorway(path, edge, element),
             )
         )
     return lanes
+
+
+def _height_notes(path: Path, edges: list[Element]) -> list[str]:
+    """Phrase on the heights of lanes, which are not used; none if the network is flat."""
+    points = (p for edge in edges for lane in edge.iter("lane") for p in lane.get("shape", "").split())
+    texts = [text for point in points for text in point.split(",")[2:3]]
+    try:
+        heights = np.array(texts, float)
+    except ValueError as error:
+        raise ValueError(f"`{path.name}` must give heights of lanes as numbers; got {error}.") from error
+    if not len(heights) or not np.ptp(heights) >= _MIN_HEIGHT_RANGE_M:
+        return []
+    span = f"{heights.min():.0f} to {heights.max():.0f} m"
+    return [f"heights of {span} are not used: bridges and ramps lie on the ground"]
 
 
 def _number(path: Path, element: Element, name: str, default: float) -> float:
@@ -163,6 +185,13 @@ def _number(path: Path, element: Element, name: str, default: float) -> float:
             f"`{path.name}` must give {name} of a {element.tag} as a finite number; got {text!r:.60}."
         ) from error
     return value
+
+
+def _is_motorway(path: Path, edge: Element, lane: Element) -> bool:
+    """Return True for a motorway or its ramp by its type, or without a type by its speed limit."""
+    if kind := edge.get("type", ""):
+        return "motorway" in kind
+    return _number(path, lane, "speed", 0.0) >= _MIN_MOTORWAY_SPEED_M_S
 
 
 def _kind(edge: Element, lane: Element) -> LaneKind | None:

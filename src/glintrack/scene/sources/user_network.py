@@ -54,6 +54,7 @@ _CROP_MARGIN_M = 300.0  # of streets beyond the window, where traffic comes from
 _LANES_PER_PERIOD_M = 60_000.0  # of lanes that one vehicle every 0.6 s fills without a jam
 _GARDEN_REACH_M = 45.0
 _PASSAGE_M = 2.0  # of a lane's middle within a building, more than the error of outlines
+_MOTORWAY_CLEARANCE_M = 40.0  # of houses from its edge: German Federal Trunk Road Act, section 9
 _NAMED_STREETS = 5
 _NEAR_DEG = 1.0  # of the town's position, within which a centre is taken for degrees
 _GROUND_MATERIAL = {
@@ -129,6 +130,8 @@ def _site(
     )
     fill = design.fill_blocks if design.fill_blocks is not None else not local.footprints
     assumptions += (*more, *guessed, *_guesses(local, streets_through_buildings(near, local), fill))
+    if fill and any(lane.is_motorway for lane in near.lanes):
+        assumptions += (f"nothing is built within {_MOTORWAY_CLEARANCE_M:g} m of motorways and their ramps",)
     layout = partial(_layout, near, local, area, fill)
     return Site(recording, place, extent, layout, traffic_origin_m=centre, assumptions=assumptions)
 
@@ -255,7 +258,7 @@ def _layout(
     patches, parked, wood = _grounds(found, streets.all, built, ground_rng)
     covered = unary_union([shape for kind, shape in found.grounds if kind != "lawn"])
     if fill:
-        taken = unary_union([built.buffer(3), covered])
+        taken = unary_union([built.buffer(3), covered, _motorway_strip(network)])
         free = area.difference(taken) if not taken.is_empty else area
         hood = neighbourhood(network, streets, free, use_by_size, fill_rng)
         return Layout(
@@ -274,6 +277,12 @@ def _layout(
             grown.append(draw_tree(x, y, tree_rng, (5.0, 13.0)))
     parked += pavement_parking(network, streets.carriageway, built, area, parking_rng)
     return Layout(streets, tuple(patches), buildings, (*wood, *grown), tuple(parked))
+
+
+def _motorway_strip(network: RoadNetwork) -> BaseGeometry:
+    """Land along motorways and their ramps on which nothing is built."""
+    lanes = (lane for lane in network.lanes if lane.is_motorway)
+    return unary_union([lane.line.buffer(_MOTORWAY_CLEARANCE_M + lane.width_m / 2) for lane in lanes])
 
 
 def _grounds(
