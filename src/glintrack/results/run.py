@@ -1,12 +1,16 @@
 """Functions behind the commands: simulate a case into a folder, render or expose a frame, score tracks."""
 
-from collections.abc import Callable, Mapping
+import html
+import importlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import xarray as xr
+from rich.console import Console
 
 from glintrack import metrics
 from glintrack.bounds.run import FlightBudget
@@ -14,6 +18,7 @@ from glintrack.camera import Camera
 from glintrack.case.build import build_scenario, trace_frame
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
+from glintrack.core.progress import listen
 from glintrack.core.records import ServedQueries
 from glintrack.io.atomic import ResultFolder
 from glintrack.io.detections import read_tracks, read_truth
@@ -44,6 +49,8 @@ def run(
 ) -> Result:
     """Simulate a case and write a result folder; the function behind ``glintrack run``.
 
+    A notebook shows a progress bar below the cell.
+
     Parameters
     ----------
     case
@@ -63,15 +70,17 @@ def run(
     design = as_case(case)
     folder = ResultFolder(Path(output) if output is not None else Path(f"result-{design.name}"))
     recorder, steps = Recorder(design, folder.partial), FlightBudget(design)
-
-    def measure(epoch: Epoch) -> None:
-        recorder.record(epoch)
-        steps.measure(epoch)
-        if callback is not None:
-            callback(epoch)
-
     try:
-        tree = simulate(design, measure, detectors=detectors, on_image=recorder.picture)
+        with _notebook_bar(design.flight.frames) as show:
+
+            def measure(epoch: Epoch) -> None:
+                recorder.record(epoch)
+                steps.measure(epoch)
+                show(epoch)
+                if callback is not None:
+                    callback(epoch)
+
+            tree = simulate(design, measure, detectors=detectors, on_image=recorder.picture)
         if tree.attrs["interrupted"]:
             recorder.show_last_frame(int(tree.attrs["frames_done"]))
         if budgets := steps.budgets(tree):
@@ -82,6 +91,35 @@ def run(
         folder.discard()
         raise
     return read_result(folder.publish(), written)
+
+
+@contextmanager
+def _notebook_bar(frames: int) -> Iterator[Callable[[Epoch], None]]:
+    """Show a progress bar below the cell of a notebook, and nothing elsewhere.
+
+    Yields
+    ------
+    Function to call after each frame and channel. The library's steps (`core.progress.step`) are shown too.
+    """
+    if not Console().is_jupyter:
+        yield lambda epoch: None
+        return
+    display, done = importlib.import_module("IPython.display"), 0
+    shown = display.display(display.HTML(""), display_id=True)
+
+    def update(step: str = "") -> None:
+        bar = f'<progress value="{done}" max="{frames}"></progress> {done} of {frames} frames'
+        shown.update(display.HTML(f"{bar} {html.escape(step)}"))
+
+    def show(epoch: Epoch) -> None:
+        nonlocal done
+        if epoch.index >= done:
+            done = epoch.index + 1
+            update()
+
+    with listen(update):
+        update()
+        yield show
 
 
 def render_frame(
