@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from scipy import ndimage
 from sklearn.ensemble import RandomForestClassifier
 
-from glintrack.dataset.annotations import read_rows
-from glintrack.dataset.build import read_plan
-from glintrack.io.netcdf import read_dataset
+from glintrack.dataset import read_plan, read_rows
 
 MIN_PROBABILITY = 0.5
 QUIET = 20  # training uses one of this number of cells without a moving vehicle
@@ -20,7 +19,8 @@ plan = read_plan(folder)
 
 def frames_of(name):
     """Rectified pan and DoLP (frame, north, east) of a case, its times [s] and grid [m]."""
-    parts = [read_dataset(folder / shard.file("nc"), "shard") for shard in plan.shards(name)]
+    files = [folder / shard.file("nc") for shard in plan.shards(name)]
+    parts = [xr.load_dataset(file, engine="h5netcdf") for file in files]
     pan = np.concatenate([part["pan"].values for part in parts])
     dolp = np.concatenate([part["dolp"].values for part in parts])
     times_s = np.concatenate([part["time_s"].values for part in parts])

@@ -1,6 +1,7 @@
 """The documentation: it builds without warnings and without the network, and its links lead somewhere."""
 
 import ast
+import json
 import os
 import re
 import shutil
@@ -15,6 +16,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(p for p in (ROOT / "docs").rglob("*.md") if "tutorials" not in p.parts)
 TUTORIALS = sorted((ROOT / "examples").glob("[0-9][0-9]_*.py"))
+RECIPES = sorted((ROOT / "docs" / "howto").glob("*.py"))
 MADE = {"reference/case.md", "reference/commands.md", "reference/arrays.md", "tutorials/index"}
 BUILD_LIMIT_S = 1200  # some two minutes of work; room for a machine that does other things too
 
@@ -41,10 +43,31 @@ def test_relative_links_lead_to_files(page):
         assert file.exists() or file.with_suffix(".md").exists(), target
 
 
-@pytest.mark.parametrize("path", TUTORIALS, ids=lambda p: p.stem)
-def test_tutorials_call_only_what_is_public(path):
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+def code_of(path):
+    """Code of a script, or of all complete examples of a page or a notebook."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".ipynb":
+        return "\n".join("".join(c["source"]) for c in json.loads(text)["cells"] if c["cell_type"] == "code")
+    if path.suffix == ".md":
+        blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+        return "\n".join(block for block in blocks if "import" in block)
+    return text
+
+
+@pytest.mark.parametrize(
+    "path", [*TUTORIALS, *RECIPES, *PAGES, ROOT / "README.md", *(ROOT / "examples").glob("*.ipynb")],
+    ids=lambda p: p.name,
+)  # fmt: skip
+def test_examples_call_only_what_is_public(path):
+    """Packages and modules of the reference of the Python interface, and no name with an underscore."""
+    tree = ast.parse(code_of(path))
     imported = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
+    reference = (ROOT / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
+    public = set(re.findall(r"^   (glintrack[.\w]*)$", reference, flags=re.MULTILINE))
+    packages = {f"{n.module}.{a.name}" for n in imported for a in n.names} & public
+    assert {n.module for n in imported if str(n.module).startswith("glintrack")} <= {
+        *public, *(name.rpartition(".")[0] for name in packages)
+    }  # fmt: skip
     names = [a.name for n in imported for a in n.names] + [n.module or "" for n in imported]
     names += [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
     names += [n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)]
