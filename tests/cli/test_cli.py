@@ -15,7 +15,7 @@ import xarray as xr
 
 from glintrack.case.design import Case
 from glintrack.cli import app
-from glintrack.io.tracks import TRACK_COLUMNS, WRITERS
+from glintrack.io.tracks import MATCH_COLUMNS, TRACK_COLUMNS, WRITERS
 from glintrack.results import run as functions
 
 SMALL = """
@@ -60,12 +60,15 @@ def test_a_run_writes_one_whole_folder(monkeypatch, three_cars, case_file, tmp_p
     provenance = tomllib.loads((folder / "provenance.toml").read_text())
     assert provenance["frames_done"] == 9 and provenance["versions"]["numpy"] == np.__version__
     tracks = pd.read_csv(folder / "tracks_pan.csv")
-    assert list(tracks.columns) == list(TRACK_COLUMNS)
+    assert list(tracks.columns) == [*TRACK_COLUMNS, *MATCH_COLUMNS]
     assert {p.name for p in folder.glob("tracks_pan*")} == {f"tracks_pan{ending}" for ending in WRITERS}
     truth, typed = pd.read_csv(folder / "truth.csv"), pd.read_parquet(folder / "truth.parquet")
     assert list(truth.columns) == list(typed.columns) and len(truth) == len(typed) > 0
     np.testing.assert_allclose(truth, typed.astype(float), rtol=1e-5)  # the CSV has six digits
     tree = xr.open_datatree(folder / "result.nc", engine="h5netcdf")
+    for about in (tree.attrs, provenance):  # tables are in local coordinates, whose origin is stated
+        assert about["crs"] == "EPSG:32618" and about["time_zero"] == "2010-07-15T20:00:00+00:00"
+        assert (about["origin_easting_m"], about["origin_northing_m"]) == (288000.0, 4781000.0)
     assert len(tracks) == tree["pan/tracks"].sizes["row"] > 0
     scores = pd.read_csv(folder / "scores_pan.csv")
     np.testing.assert_allclose(scores["completeness"], tree["pan"]["completeness"], atol=1e-5)
@@ -87,22 +90,22 @@ def test_frames_and_lines_lie_where_the_cars_are(monkeypatch, three_cars, case_f
     with rasterio.open(path) as file:
         pan, time_s = file.read(1), float(file.tags()["time_s"])
         assert file.crs.to_string() == "EPSG:32618" and file.descriptions[0] == "pan"
+        assert file.units == (*["W m-2 sr-1 um-1"] * 4, "1")
         row, column = np.unravel_index(np.nanargmax(pan), pan.shape)
         easting, northing = file.xy(row, column)
     now = truth[np.isclose(truth["time_s"], time_s)]
     distance = np.hypot(now["east_m"] + 288000 - easting, now["north_m"] + 4781000 - northing)
     half_a_car_and_a_cell_m = 3.3
     assert distance.min() < half_a_car_and_a_cell_m
-    lines = json.loads((folder / "tracks_pan.geojson").read_text())["features"]
+    features = json.loads((folder / "tracks_pan_points.geojson").read_text())["features"]
     to_utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32618", always_xy=True)
-    for line in lines:
-        assert line["properties"]["time_s"]
-        x, y = to_utm.transform(*line["geometry"]["coordinates"][-1])
-        last = truth[np.isclose(truth["time_s"], line["properties"]["time_s"][-1])]
-        assert (
-            np.hypot(last["east_m"] + 288000 - x, last["north_m"] + 4781000 - y).min()
-            < half_a_car_and_a_cell_m
-        )
+    assert features
+    for feature in features:
+        found, (x, y) = feature["properties"], to_utm.transform(*feature["geometry"]["coordinates"])
+        assert (x, y) == pytest.approx((found["east_m"], found["north_m"]), abs=2e-3)
+        then = truth[np.isclose(truth["time_s"], found["time_s"])]
+        place = then["east_m"] + 288000 - x, then["north_m"] + 4781000 - y
+        assert np.hypot(*place).min() < half_a_car_and_a_cell_m
 
 
 @pytest.mark.parametrize("frames", [0, 4])

@@ -71,6 +71,7 @@ def test_raws_of_every_kind_become_files_and_pictures(run, tmp_path):
     assert frame.attrs["time_s"] == 0.25
     with rasterio.open(out / "b.tif") as file:
         assert file.descriptions == ("pan", "I", "Q", "U", "dolp", "aop") and file.tags()["time_s"] == "0.25"
+        assert file.units == (*["count"] * 4, "1", "rad")
         np.testing.assert_array_equal(file.read(5), frame["dolp"])
     np.testing.assert_allclose(frame["dolp"], np.hypot(0.3, 0.1), atol=2e-4)
 

@@ -37,13 +37,13 @@ def flown(three_cars, tmp_path):
 
 
 def places_at(path, time_s, ident):
-    """Longitude and latitude of every line at a time, as a GIS reads them."""
-    out = {}
-    for feature in json.loads(path.read_text())["features"]:
-        times, shape = feature["properties"]["time_s"], feature["geometry"]
-        if time_s in times and shape["type"] == "LineString":
-            out[feature["properties"][ident]] = shape["coordinates"][times.index(time_s)]
-    return out
+    """Longitude and latitude of every point at a time, as a GIS reads them."""
+    features = json.loads(path.read_text())["features"]
+    return {
+        f["properties"][ident]: f["geometry"]["coordinates"]
+        for f in features
+        if f["properties"]["time_s"] == time_s
+    }
 
 
 def cell_of(file, longitude, latitude):
@@ -69,12 +69,12 @@ def test_ways_of_vehicles_and_tracks_lie_on_the_cars_of_the_frame(flown):
         assert file.profile["tiled"] or file.shape[0] <= 512  # a small COG is one block
         pan = file.read(1)
         assert file.descriptions[0] == "pan"
-        vehicles = places_at(folder / "truth.geojson", time_s, "vehicle_id")
+        vehicles = places_at(folder / "truth_points.geojson", time_s, "vehicle_id")
         assert sorted(vehicles) == [11, 22, 33]
         cells = {ident: cell_of(file, *place) for ident, place in vehicles.items()}
         for row, column in cells.values():
             assert_brightest(pan, row, column)
-        tracks = places_at(folder / "tracks_pan.geojson", time_s, "track_id")
+        tracks = places_at(folder / "tracks_pan_points.geojson", time_s, "track_id")
         assert len(tracks) == 3
         for place in tracks.values():
             row, column = cell_of(file, *place)
@@ -100,7 +100,7 @@ def test_an_envi_cube_of_the_same_frame_lies_there_too(flown, monkeypatch, tmp_p
     with rasterio.open(tmp_path / "cube.img") as file:  # GDAL
         assert pyproj.CRS(file.crs.to_wkt()).to_authority(min_confidence=50) == CRS
         first = file.read(1)
-        for place in places_at(folder / "truth.geojson", time_s, "vehicle_id").values():
+        for place in places_at(folder / "truth_points.geojson", time_s, "vehicle_id").values():
             row, column = cell_of(file, *place)
             assert_brightest(first, row, column)
             assert image[row, column].ravel()[0] == first[row, column]

@@ -118,6 +118,13 @@ class AtmosphereDesign(Design):
         return wavelength_grid(MIN_WAVELENGTH_UM, self.wavelength_stop_um)
 
     @property
+    def utc(self) -> datetime.datetime:
+        """UTC of the date and local standard time, at which the sun stands where it does."""
+        offset_h = round(self.longitude_deg / 15.0) if self.utc_offset_h is None else self.utc_offset_h
+        midnight = datetime.datetime.combine(self.date, datetime.time(), datetime.UTC)
+        return midnight + datetime.timedelta(hours=self.local_time_h - offset_h)
+
+    @property
     def aerosol_optical_depth_550(self) -> float:
         """Vertical aerosol optical depth at 0.55 µm, from whichever knob was used. [1]
 

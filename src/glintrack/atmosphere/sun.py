@@ -1,6 +1,5 @@
 """Position of the sun and its irradiance above the atmosphere."""
 
-import datetime
 import math
 
 import numpy as np
@@ -28,7 +27,7 @@ def sun_direction(design: AtmosphereDesign) -> tuple[float, float]:
     """
     if design.sun_zenith_deg is not None and design.sun_azimuth_deg is not None:
         return math.radians(design.sun_zenith_deg), math.radians(design.sun_azimuth_deg) % (2 * math.pi)
-    times = pd.DatetimeIndex([_time(design)])
+    times = pd.DatetimeIndex([design.utc])
     found = pvlib.solarposition.spa_python(times, design.latitude_deg, design.longitude_deg)
     zenith_deg, azimuth_deg = float(found["zenith"].iloc[0]), float(found["azimuth"].iloc[0])
     if zenith_deg > HIGHEST_SUN_ZENITH_DEG:
@@ -42,7 +41,7 @@ def sun_direction(design: AtmosphereDesign) -> tuple[float, float]:
 
 def earth_sun_distance(design: AtmosphereDesign) -> float:
     """Distance to the sun on the design's date. [astronomical units]"""
-    times = pd.DatetimeIndex([_time(design)])
+    times = pd.DatetimeIndex([design.utc])
     return float(np.asarray(pvlib.solarposition.nrel_earthsun_distance(times)).ravel()[0])
 
 
@@ -69,11 +68,3 @@ def solar_irradiance(
     upper = np.interp(wavelength_um + BAND_WIDTH_UM / 2, table_um, integral)
     lower = np.interp(wavelength_um - BAND_WIDTH_UM / 2, table_um, integral)
     return (upper - lower) / BAND_WIDTH_UM / distance_au**2
-
-
-def _time(design: AtmosphereDesign) -> datetime.datetime:
-    offset_h = design.utc_offset_h
-    if offset_h is None:
-        offset_h = round(design.longitude_deg / 15.0)
-    midnight = datetime.datetime.combine(design.date, datetime.time(), datetime.UTC)
-    return midnight + datetime.timedelta(hours=design.local_time_h - offset_h)

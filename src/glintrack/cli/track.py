@@ -18,7 +18,7 @@ from glintrack.io.detections import DetectionTable, read_detections, read_truth
 from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.readings import report_reading
 from glintrack.io.toml import read_toml
-from glintrack.io.tracks import WRITERS, TrackGeoreference, write_tracks
+from glintrack.io.tracks import WRITERS, TrackGeoreference, track_table, write_tables
 from glintrack.results.froc import FROC_SCORES, froc
 from glintrack.study.design import flat
 from glintrack.track.files import (
@@ -79,8 +79,8 @@ def track_files(
         count = len(table.time_s)
         gone, notes = {f"outside {box} m": tracked.outside}, _detection_notes(table, tracked)
         report_reading(source, "detections", count, count - tracked.outside, gone, notes)
-        rows, (west, _, _, north) = tracked.rows, tracked.area_m
-        place = TrackGeoreference(crs, north_west_m=(west, north), times_s=np.unique(table.time_s).tolist())
+        rows, times_s = tracked.rows, np.unique(table.time_s).tolist()
+        place = TrackGeoreference(crs, area_m=tracked.area_m, times_s=times_s)
         if froc_truth is not None:
             swept = froc(table, read_truth(froc_truth, rate_hz, grid), FROC_SCORES, tracker, area)
     else:
@@ -109,8 +109,8 @@ def track_files(
         for _, image in first:
             x, y = image["x"].values, image["y"].values
             cell = float(abs(x[1] - x[0])) if len(x) > 1 else 1.0
-            corner_m = (float(x[0]) - cell / 2, float(y[0]) + cell / 2)
-            place = replace(place, north_west_m=corner_m, cell_m=cell)
+            edges_m = x[0] - cell / 2, y[-1] - cell / 2, x[-1] + cell / 2, y[0] + cell / 2
+            place = replace(place, area_m=tuple(map(float, edges_m)), cell_m=cell)
     _write(console, output, rows, place, swept)
     if not rows.sizes.get("row"):
         console.print(f"no tracks: {_explain_no_tracks(place.times_s)}")
@@ -161,7 +161,7 @@ def _write(
         warn_off_map(metric_crs(place.crs), east_m, north_m)
     folder = atomic.ResultFolder(output)
     try:
-        names = write_tracks(folder.partial, rows, "tracks", place)
+        names = write_tables(folder.partial, track_table(rows), "tracks", place)
         if swept:
             lines = [",".join(swept[0]), *(",".join(f"{v:.6g}" for v in one.values()) for one in swept)]
             atomic.write_text(folder.partial / "froc.csv", "\n".join(lines) + "\n")

@@ -28,6 +28,7 @@ _UNITS = {
     "_deg": "°",
     "_urad": "µrad",
     "_mrad": "mrad",
+    "_rad": "rad",
     "_e": "e",
     "_du": "DU",
 }

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from rasterio.enums import ColorInterp
 
 from glintrack.core.arrays import Array
+from glintrack.core.schema import RADIANCE
 from glintrack.io.atomic import temporary_path, write_bytes
 from glintrack.io.netcdf import write_dataset
 from glintrack.io.untrusted import use_own_proj
@@ -44,9 +45,10 @@ def write_frame(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, 
     corner = (float(image["x"][0]) - gsd / 2 + origin_m[0], float(image["y"][0]) + gsd / 2 + origin_m[1])
     stokes = image["stokes_radiance"].values
     bands = [image["pan"].values, *np.moveaxis(stokes[..., :3], -1, 0), image["dolp"].values]
-    names = ("pan", *(f"stokes_{c}" for c in "IQU"), "dolp")
+    units = dict.fromkeys(("pan", *(f"stokes_{c}" for c in "IQU")), RADIANCE) | {"dolp": "1"}
     tags = {"time_s": image.attrs.get("time_s", 0.0), "stokes_frame": "meridian"}
-    _write(path, bands, names, crs, rasterio.transform.from_origin(*corner, gsd, gsd), tags)
+    transform = rasterio.transform.from_origin(*corner, gsd, gsd)
+    _write(path, bands, list(units), crs, transform, tags, units=list(units.values()))
 
 
 def write_polarization(path: Path, frame: xr.Dataset, time_s: float | None) -> None:
@@ -64,11 +66,13 @@ def write_polarization(path: Path, frame: xr.Dataset, time_s: float | None) -> N
     stokes = frame["stokes_radiance"]
     pan, dolp, aop = (frame[name].values for name in ("pan", "dolp", "aop"))
     bands = [pan, *np.moveaxis(stokes.values, -1, 0), dolp, aop]
-    tags = {"stokes_frame": "detector", "units": str(stokes.attrs["units"])}
+    unit = str(stokes.attrs["units"])
+    tags: dict[str, Any] = {"stokes_frame": "detector", "units": unit}
     tags |= {} if time_s is None else {"time_s": time_s}
+    names, units = ("pan", "I", "Q", "U", "dolp", "aop"), [unit] * 4 + ["1", "rad"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        _write(path, bands, ("pan", "I", "Q", "U", "dolp", "aop"), None, None, tags)
+        _write(path, bands, names, None, None, tags, units=units)
 
 
 def write_bands(
@@ -133,6 +137,7 @@ def _write(
     transform,
     tags,
     dtype: str = "float32",
+    units: Sequence[str] = (),
 ) -> None:
     use_own_proj()
     profile = {
@@ -159,6 +164,8 @@ def _write(
                     values = np.nan_to_num(np.clip(np.rint(values), limits.min, limits.max))
                 file.write(values.astype(dtype, copy=False), k)
                 file.set_band_description(k, name)
+            if units:
+                file.units = units
             file.colorinterp = kinds + [ColorInterp.undefined] * (len(names) - len(kinds))
             if is_integer:
                 file.write_mask(np.isfinite(bands).all(axis=0))

@@ -58,6 +58,7 @@ class _GdalWriter:
             self.file = rasterio.open(path, "w", **{**whole, **profile})
         for k, name in enumerate(layout.band_names, start=1):
             self.file.set_band_description(k, name)
+            self.file.set_band_unit(k, layout.units)
 
     def write(self, row: int, channel: int, values: Float[Array, "component channel y x"]) -> None:
         """Write a block whose first row and channel are given."""

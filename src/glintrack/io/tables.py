@@ -1,4 +1,4 @@
-"""Read CSV tables and their numbers, and write CSV and Parquet tables."""
+"""Read CSV tables and their numbers, write CSV tables, and encode Parquet tables."""
 
 import codecs
 import contextlib
@@ -6,7 +6,7 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.core.units import number_hint
-from glintrack.io.atomic import write_bytes
+from glintrack.core.units import number_hint, unit_of
 from glintrack.io.untrusted import MAX_TEXT_BYTES, check_file, open_unzipped, plain
 
 _MAX_COLUMNS, _MAX_ROW_BYTES = 5000, 10_000_000  # of a table; of its first row that are read
@@ -142,13 +141,11 @@ def write_table(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:
     table.to_csv(path, index=False, float_format="%.6g", na_rep="nan", lineterminator="\r\n")
 
 
-def write_parquet(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:
-    """Write a dataset with dim ``row`` as Parquet, as `write_table`; the fields have units."""
-    names = [name for name in columns if name in rows]
-    units = [{"units": str(rows[name].attrs.get("units", "1"))} for name in names]
-    types = [pa.from_numpy_dtype(rows[name].dtype) for name in names]
-    fields = [pa.field(*field) for field in zip(names, types, [True] * len(names), units, strict=True)]
-    arrays = [pa.array(rows[name].values) for name in names]
+def parquet_bytes(table: pd.DataFrame, metadata: Mapping[str, str]) -> bytes:
+    """Encode a table as Parquet; the fields have the units of their names, the file further metadata."""
+    arrow = pa.Table.from_pandas(table, preserve_index=False)
+    fields = [field.with_metadata({"units": unit_of(field.name) or "1"}) for field in arrow.schema]
+    schema = pa.schema(fields, {**(arrow.schema.metadata or {}), **metadata})
     sink = pa.BufferOutputStream()
-    pyarrow.parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), sink)
-    write_bytes(path, sink.getvalue().to_pybytes())
+    pyarrow.parquet.write_table(arrow.cast(schema), sink)
+    return sink.getvalue().to_pybytes()

@@ -1,78 +1,82 @@
-"""Write tracks, and paths and boxes of the truth, as files, and read MOTChallenge text.
+"""Write tracks and truth as files, in every format of `WRITERS`, and read MOTChallenge text.
 
 A format of `WRITERS` is a function of the table and of its `TrackGeoreference`. Runs,
 ``glintrack track``, its help and the tests use all entries.
 """
 
-import io
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
 from glintrack.core.arrays import Array
-from glintrack.io.atomic import write_bytes, write_text
-from glintrack.io.crs import longitude_latitude
+from glintrack.io.atomic import write_bytes
+from glintrack.io.map_files import (
+    TrackGeoreference,
+    id_column,
+    lines_layer,
+    points_layer,
+    write_czml,
+    write_geojson,
+    write_geoparquet,
+    write_kml,
+)
 from glintrack.io.orthoimages import Geotransform, check_grid
 from glintrack.io.readings import report_reading
+from glintrack.io.tables import parquet_bytes
 from glintrack.io.times import check_rate
 from glintrack.io.untrusted import read_text
 
-# columns of the file and variables of the rows
+# columns of the files and variables of the rows
 TRACK_COLUMNS = (
-    "time_s", "track_id", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s",
+    "time_s", "track_id", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s", "speed_m_s",
     "east_var_m2", "north_var_m2", "east_north_cov_m2", "status",
 )  # fmt: skip
+# of tracks whose truth is known: vehicle that a track is matched to (−1: none), and whether it is a moving
+# vehicle of the scored area, or no vehicle at all
+MATCH_COLUMNS = ("vehicle_id", "valid", "false")
+TRUTH_COLUMNS = (
+    "time_s", "vehicle_id", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s", "speed_m_s", "up_m",
+    "heading_rad", "class", "length_m", "width_m", "height_m", "visible_fraction", "inside", "moving",
+)  # fmt: skip
 BOX_M = 5.0  # side of a track's box in MOTChallenge, about the length of a car
-_CAR = 3  # class of MOTChallenge
-_VEHICLES = (_CAR, 5)  # car, motorbike
+_VEHICLES = _CAR, _MOTORCYCLE = 3, 5  # classes of MOTChallenge
 _PIXEL_ERROR, _METRE_ERROR = 0.02, 1e-3  # of rounded boxes and positions
 
 
-@dataclass(frozen=True)
-class TrackGeoreference:
-    """Position and times of tracks, for formats that need more than their table.
-
-    Parameters
-    ----------
-    crs, origin_m
-        Projected CRS in metres, and position of east and north 0 in it [m]. Without a CRS no geographic
-        format is written.
-    north_west_m, cell_m
-        Outer corner and side of the frames' first pixel, for MOTChallenge. [m]
-    times_s
-        All epochs, with or without tracks: frames of MOTChallenge. By default those of the tracks. [s]
-    """
-
-    crs: str | None = None
-    origin_m: tuple[float, float] = (0.0, 0.0)
-    north_west_m: tuple[float, float] = (0.0, 0.0)
-    cell_m: float = 1.0
-    times_s: Sequence[float] = ()
-
-
 def track_table(rows: xr.Dataset) -> pd.DataFrame:
-    """Table of tracks with `TRACK_COLUMNS`; NaN where a column is missing."""
-    missing = np.full(rows.sizes.get("row", 0), np.nan)
-    columns = {c: np.asarray(rows[c].values) if c in rows else missing for c in TRACK_COLUMNS}
-    table = pd.DataFrame(columns)
-    table["track_id"] = table["track_id"].astype(np.int64)
-    return table
+    """Table of tracks with `TRACK_COLUMNS`, and with `MATCH_COLUMNS` where the truth is known."""
+    return _table(rows, TRACK_COLUMNS, MATCH_COLUMNS)
 
 
-def write_tracks(folder: Path, rows: xr.Dataset, stem: str, place: TrackGeoreference) -> list[str]:
-    """Write tracks in every format of `WRITERS`.
+def truth_table(rows: xr.Dataset) -> pd.DataFrame:
+    """Table of truth with those of `TRUTH_COLUMNS` that the rows have."""
+    return _table(rows, TRUTH_COLUMNS)
+
+
+def _table(rows: xr.Dataset, columns: tuple[str, ...], optional: tuple[str, ...] = ()) -> pd.DataFrame:
+    """Table of some variables with dim ``row``, and of the speed; without rows all columns are empty."""
+    if rows.sizes.get("row"):
+        speeds = rows["east_speed_m_s"].values, rows["north_speed_m_s"].values
+        rows = rows.assign(speed_m_s=("row", np.hypot(*speeds)))
+    values = {name: rows[name].values for name in (*columns, *optional) if name in rows}
+    table = pd.DataFrame(values if values else {name: np.empty(0) for name in columns})
+    return table.astype({id_column(table): np.int64})
+
+
+def write_tables(folder: Path, table: pd.DataFrame, stem: str, place: TrackGeoreference) -> list[str]:
+    """Write tracks or truth in every format of `WRITERS`.
 
     Parameters
     ----------
     folder
         Existing folder.
-    rows
-        One row for each confirmed track and frame.
+    table
+        From `track_table` or `truth_table`.
     stem
         Stem of the file names.
     place
@@ -80,59 +84,20 @@ def write_tracks(folder: Path, rows: xr.Dataset, stem: str, place: TrackGeorefer
 
     Returns
     -------
-    Names of the files, without geographic formats if there is no CRS.
+    Names of the files, without files for maps if there is no CRS.
 
     Raises
     ------
     ValueError
         If the CRS is invalid, not in metres on the ground, or the positions are outside it.
     """
-    table, names = track_table(rows), []
+    names = []
     for ending, write in WRITERS.items():
         data = write(table, place)
         if data is not None:
             write_bytes(folder / f"{stem}{ending}", data)
             names.append(f"{stem}{ending}")
     return names
-
-
-def write_paths(path: Path, rows: xr.Dataset, place: TrackGeoreference) -> None:
-    """Write paths of the truth's vehicles as GeoJSON lines in WGS 84 (RFC 7946), with their times."""
-    any_rows, columns = rows.sizes.get("row"), ("time_s", "vehicle_id", "east_m", "north_m")
-    table = pd.DataFrame({name: rows[name].values if any_rows else np.empty(0) for name in columns})
-    write_text(path, json.dumps(_feature_collection(table, place, "vehicle_id")))
-
-
-def write_mot_truth(
-    path: Path, rows: xr.Dataset, area_m: tuple[float, float, float, float], place: TrackGeoreference
-) -> None:
-    """Write truth as MOTChallenge ground truth, in the pixels and frames of the tracks' file.
-
-    Parameters
-    ----------
-    path
-        File to write: frame, id, left, top, width, height, 1, class, visible fraction. Frames, ids and
-        pixels count from 1; the class is 3, a car, for every vehicle.
-    rows
-        ``/truth`` of a result; vehicles outside the area are left out.
-    area_m
-        West, south, east, north of the frames. [m]
-    place
-        Position and times of the tracks.
-    """
-    lines = []
-    if rows.sizes.get("row"):
-        west, south, east, north = area_m
-        sine, cosine = np.abs(np.sin(rows["heading_rad"].values)), np.abs(np.cos(rows["heading_rad"].values))
-        length, width = rows["length_m"].values, rows["width_m"].values
-        wide, high = length * sine + width * cosine, length * cosine + width * sine
-        x, y = rows["east_m"].values, rows["north_m"].values
-        frames, boxes = _frames(rows["time_s"].values, place), _boxes(x, y, wide, high, place)
-        ident, seen = rows["vehicle_id"].values, rows["visible_fraction"].values
-        inside = (x >= west) & (x <= east) & (y >= south) & (y <= north)
-        for k in np.flatnonzero(inside):
-            lines.append(f"{frames[k]},{int(ident[k]) + 1},{boxes[k]},1,{_CAR},{seen[k]:.3f}\n")
-    write_text(path, "".join(lines))
 
 
 def read_mot(path: Path, name: str, rate_hz: float | None, grid: Geotransform | None) -> pd.DataFrame:
@@ -146,7 +111,7 @@ def read_mot(path: Path, name: str, rate_hz: float | None, grid: Geotransform | 
     rate_hz
         Frame rate; frame 1 is at 0 s. [Hz]
     grid
-        Position of the pixels. It may be left out if columns 8 and 9 are east and north, as `write_tracks`
+        Position of the pixels. It may be left out if columns 8 and 9 are east and north, as `write_tables`
         writes them. [m]
 
     Raises
@@ -210,104 +175,79 @@ def _agree(pixels: Array, places_m: Array) -> bool:
 
 def _csv(table: pd.DataFrame, place: TrackGeoreference) -> bytes:
     times = table["time_s"].map("{:.15g}".format)  # of a clock that counts from 1970 too
-    return table.assign(time_s=times).to_csv(index=False, float_format="%.9g").encode()
+    flags = {name: int for name in table.select_dtypes(bool)}
+    return table.assign(time_s=times).astype(flags).to_csv(index=False, float_format="%.9g").encode()
 
 
 def _parquet(table: pd.DataFrame, place: TrackGeoreference) -> bytes:
-    buffer = io.BytesIO()
-    table.to_parquet(buffer, index=False)
-    return buffer.getvalue()
+    """Table in the coordinates of the CSV file, whose CRS and origin are metadata."""
+    return parquet_bytes(table, {name: str(value) for name, value in place.attributes().items()})
 
 
 def _mot(table: pd.DataFrame, place: TrackGeoreference) -> bytes:
-    """MOTChallenge results: frame, id, left, top, width, height [pixel], 1, east, north [m], 0."""
-    frames = _frames(table["time_s"].to_numpy(), place)
-    east, north = table["east_m"].to_numpy(), table["north_m"].to_numpy()
-    sides = np.full(len(table), BOX_M)
-    rows = zip(frames, table["track_id"], _boxes(east, north, sides, sides, place), east, north, strict=True)
-    return "".join(f"{f},{i + 1},{box},1,{x:.3f},{y:.3f},0\n" for f, i, box, x, y in rows).encode()
+    """MOTChallenge text: frames, ids and pixels count from 1.
 
-
-def _geojson(table: pd.DataFrame, place: TrackGeoreference) -> bytes | None:
-    if place.crs is None:
-        return None
-    return json.dumps(_feature_collection(table, place, "track_id")).encode()
-
-
-def _kml(table: pd.DataFrame, place: TrackGeoreference) -> bytes | None:
-    if place.crs is None:
-        return None
-    placemarks = []
-    for ident, _, points in _lines(table, place, "track_id"):
-        text = " ".join(f"{x:.8f},{y:.8f},0" for x, y in points)
-        shape = "LineString" if len(points) > 1 else "Point"
-        placemarks.append(
-            f"<Placemark><name>track {ident}</name><{shape}><coordinates>{text}</coordinates>"
-            f"</{shape}></Placemark>"
-        )
-    return (
-        '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>'
-        f"<name>tracks</name>{''.join(placemarks)}</Document></kml>\n"
+    Tracks: frame, id, left, top, width, height [pixel], 1, east, north [m], 0. Truth within the frames: 1,
+    class (3 a car or a larger vehicle, 5 a motorcycle) and visible fraction after the height.
+    """
+    if id_column(table) == "track_id":
+        frames, (x, y) = _frames(table, place), table[["east_m", "north_m"]].to_numpy(float).T
+        sides = np.full(len(table), BOX_M)
+        rows = zip(frames, table["track_id"], _boxes(x, y, sides, sides, place), x, y, strict=True)
+        return "".join(f"{f},{i + 1},{box},1,{e:.3f},{n:.3f},0\n" for f, i, box, e, n in rows).encode()
+    if table.empty:
+        return b""
+    west, south, east, north = place.area_m
+    inside = table["east_m"].between(west, east) & table["north_m"].between(south, north)
+    table = table.take(np.flatnonzero(inside).tolist())
+    sine, cosine = np.abs(np.sin(table["heading_rad"])), np.abs(np.cos(table["heading_rad"]))
+    wide = table["length_m"] * sine + table["width_m"] * cosine
+    high = table["length_m"] * cosine + table["width_m"] * sine
+    boxes = _boxes(table["east_m"], table["north_m"], wide, high, place)
+    kinds = table["class"] if "class" in table else [""] * len(table)
+    rows = zip(
+        _frames(table, place), table["vehicle_id"], boxes, kinds, table["visible_fraction"], strict=True
+    )
+    classes = {"motorcycle": _MOTORCYCLE}
+    return "".join(
+        f"{f},{i + 1},{box},1,{classes.get(k, _CAR)},{v:.3f}\n" for f, i, box, k, v in rows
     ).encode()
 
 
-def _czml(table: pd.DataFrame, place: TrackGeoreference) -> bytes | None:
-    """Cesium's time-dynamic form; second 0 is an arbitrary epoch, because a run has no calendar."""
-    if place.crs is None:
-        return None
-    packets: list[dict] = [{"id": "document", "name": "tracks", "version": "1.0"}]
-    for ident, times_s, points in _lines(table, place, "track_id"):
-        samples = [v for t, (x, y) in zip(times_s, points, strict=True) for v in (t, x, y, 0.0)]
-        position = {"epoch": "2000-01-01T00:00:00Z", "cartographicDegrees": samples}
-        point = {"pixelSize": 6, "heightReference": "CLAMP_TO_GROUND"}
-        packets.append({"id": f"track-{ident}", "position": position, "point": point})
-    return json.dumps(packets).encode()
+def _on_map(
+    layer: Callable[[pd.DataFrame, TrackGeoreference], Any],
+    write: Callable[[Any, TrackGeoreference], bytes],
+    table: pd.DataFrame,
+    place: TrackGeoreference,
+) -> bytes | None:
+    return None if place.crs is None else write(layer(table, place), place)
 
 
 WRITERS: Mapping[str, Callable[[pd.DataFrame, TrackGeoreference], bytes | None]] = {
     ".csv": _csv,
     ".parquet": _parquet,
     "_mot.txt": _mot,
-    ".geojson": _geojson,
-    ".kml": _kml,
-    ".czml": _czml,
+    "_points.geojson": partial(_on_map, points_layer, write_geojson),
+    "_lines.geojson": partial(_on_map, lines_layer, write_geojson),
+    "_points.parquet": partial(_on_map, points_layer, write_geoparquet),
+    "_lines.parquet": partial(_on_map, lines_layer, write_geoparquet),
+    "_points.kml": partial(_on_map, points_layer, write_kml),
+    "_lines.kml": partial(_on_map, lines_layer, write_kml),
+    ".czml": partial(_on_map, lambda table, place: table, write_czml),
 }
 
 
-def _frames(times_s: np.ndarray, place: TrackGeoreference) -> np.ndarray:
-    """Frame number at each time, from 1."""
+def _frames(table: pd.DataFrame, place: TrackGeoreference) -> np.ndarray:
+    """Frame number of each row, from 1."""
+    times_s = table["time_s"].to_numpy(float)
     epochs = np.unique(place.times_s if len(place.times_s) else times_s)
     return np.searchsorted(epochs, times_s - 1e-9) + 1
 
 
 def _boxes(east, north, wide_m, high_m, place: TrackGeoreference) -> list[str]:
     """Left, top, width and height of boxes around positions. [pixel]"""
-    west, top = place.north_west_m
+    west, _, _, top = place.area_m
     left = (east - wide_m / 2 - west) / place.cell_m + 1
     upper = (top - north - high_m / 2) / place.cell_m + 1
     sides = np.stack([left, upper, wide_m / place.cell_m, high_m / place.cell_m], axis=-1)
     return [",".join(f"{v:.2f}" for v in box) for box in sides]
-
-
-def _lines(
-    table: pd.DataFrame, place: TrackGeoreference, id_column: str
-) -> Iterator[tuple[int, list[float], list[list[float]]]]:
-    """Id, times [s] and points (longitude, latitude) [°] of each track or vehicle."""
-    easting, northing = table["east_m"] + place.origin_m[0], table["north_m"] + place.origin_m[1]
-    x, y = longitude_latitude(place.crs, easting.to_numpy(), northing.to_numpy())
-    t, points = table["time_s"].to_numpy(float).round(6), np.round(np.column_stack([x, y]), 8)
-    for ident, rows in table.groupby(id_column).indices.items():
-        yield int(str(ident)), t[rows].tolist(), points[rows].tolist()
-
-
-def _feature_collection(table: pd.DataFrame, place: TrackGeoreference, id_column: str) -> dict:
-    features, statuses = [], table.groupby(id_column)["status"].agg(list) if "status" in table else {}
-    for ident, times_s, points in _lines(table, place, id_column):
-        shape = {"type": "LineString", "coordinates": points}
-        if len(points) == 1:
-            shape = {"type": "Point", "coordinates": points[0]}
-        properties = {id_column: ident, "time_s": times_s}
-        if ident in statuses:
-            properties["status"] = statuses[ident]
-        features.append({"type": "Feature", "geometry": shape, "properties": properties})
-    return {"type": "FeatureCollection", "features": features}

@@ -19,9 +19,9 @@ from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
 from glintrack.io.atomic import write_bytes, write_text
 from glintrack.io.images import write_figure
 from glintrack.io.netcdf import write_tree
-from glintrack.io.tables import write_parquet, write_table
+from glintrack.io.tables import write_table
 from glintrack.io.toml import to_toml
-from glintrack.io.tracks import TrackGeoreference, write_mot_truth, write_paths, write_tracks
+from glintrack.io.tracks import TrackGeoreference, track_table, truth_table, write_tables
 from glintrack.results.epoch import BOX_COLUMNS
 from glintrack.results.figures import LOOP_STYLES
 from glintrack.results.figures import devices as plot_devices
@@ -35,10 +35,6 @@ from glintrack.results.recorder import Colour, Recorder
 from glintrack.sensor import response_curves
 from glintrack.sensor.sensor import ETALON_STEPS
 
-TRUTH_COLUMNS = (
-    "time_s", "vehicle_id", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s", "up_m", "heading_rad",
-    "length_m", "width_m", "height_m", "visible_fraction", "inside", "moving",
-)  # fmt: skip
 SCORE_COLUMNS = (
     "time_s", "completeness", "completeness_visible", "purity", "tracked_per_km2", "false_tracks",
     "false_per_km2", "should", "valid", "queries_asked", "queries_served", "exposure_ms",
@@ -63,26 +59,22 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     -------
     Content of ``result.nc``.
     """
+    place = _georeference(case, tree, recorder)
+    tree = tree.copy()
+    tree.attrs |= place.attributes()
     write_text(folder / "case.toml", to_toml(case))
     write_text(folder / "provenance.toml", _provenance(tree))
     whole = _with_record(tree, recorder)
     write_tree(folder / "result.nc", whole)
-    write_table(folder / "truth.csv", _node(tree, "truth"), TRUTH_COLUMNS)
-    write_parquet(folder / "truth.parquet", _node(tree, "truth"), TRUTH_COLUMNS)
+    write_tables(folder, truth_table(_node(tree, "truth")), "truth", place)
     (folder / "pictures").mkdir()
     if recorder.observer is None:
         return whole
     if case.output.boxes:
         write_table(folder / "boxes.csv", recorder.boxes(), BOX_COLUMNS)
     (folder / "frames").mkdir(exist_ok=True)
-    city = recorder.observer.city
-    truth, times_s = _node(tree, "truth"), _node(tree, case.channels[0])["time"].values.tolist()
-    corner_m = city.extent_m[0], city.extent_m[3]
-    place = TrackGeoreference(city.crs, recorder.origin_m, corner_m, case.ortho.gsd_m, times_s)
-    write_paths(folder / "truth.geojson", truth, place)
-    write_mot_truth(folder / "truth_mot.txt", truth, city.extent_m, place)
     for channel in case.channels:
-        write_tracks(folder, _node(tree, f"{channel}/tracks"), f"tracks_{channel}", place)
+        write_tables(folder, track_table(_node(tree, f"{channel}/tracks")), f"tracks_{channel}", place)
         scores = _node(tree, channel).rename_dims(time="row").rename_vars(time="time_s")
         write_table(folder / f"scores_{channel}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS)
     _write_film(folder / "film", recorder)
@@ -119,6 +111,21 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
     figure, ax = _figure(7, 4)
     plot_tracks.show_completeness(ax, tree)
     yield "completeness", figure
+
+
+def _georeference(case: Case, tree: xr.DataTree, recorder: Recorder) -> TrackGeoreference:
+    """Position and times of tracks and truth; without a CRS if no frame was simulated."""
+    if recorder.observer is None:
+        return TrackGeoreference(time_zero=case.atmosphere.utc)
+    city, times_s = recorder.observer.city, _node(tree, case.channels[0])["time"].values.tolist()
+    return TrackGeoreference(
+        crs=city.crs,
+        origin_m=recorder.origin_m,
+        area_m=city.extent_m,
+        cell_m=case.ortho.gsd_m,
+        times_s=times_s,
+        time_zero=case.atmosphere.utc,
+    )
 
 
 def _views(case: Case, colour: Colour) -> Iterator[tuple[str, Figure]]:

@@ -37,7 +37,7 @@ from glintrack.scene.sources.embedded import procedural_site
 from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Site, mesh_site, mesh_terrain
 from glintrack.scene.sources.user_network import network_site, resolve_file
 from glintrack.scene.traffic import Recording, Traffic, warn_of_jam
-from glintrack.scene.vehicles import build_models
+from glintrack.scene.vehicles import VEHICLE_CLASSES, build_models
 
 MAX_TREES = 60_000  # each is an instance of some hundred bytes here and about a thousand in the ray tracer
 _PARKED_PAINT_KEY = 1_000_000  # parked vehicles draw their paints from other keys than driving ones
@@ -153,8 +153,8 @@ class City:
         """Evaluate the true state of every vehicle at a time of the case, as a Dataset of schema ``truth``.
 
         Positions are centres of vehicles on the ground; parked vehicles are not among them. ``pitch_rad``
-        is the slope of the ground along the heading, nose up positive. ``inside`` is True within the window,
-        ``moving`` from 1 m s⁻¹.
+        is the slope of the ground along the heading, nose up positive. ``class`` is one of `VEHICLE_CLASSES`.
+        ``inside`` is True within the window, ``moving`` from 1 m s⁻¹.
         """
         ids, states = self._present(time_s)
         x, y, heading, *speed = states.T
@@ -172,6 +172,7 @@ class City:
             "length_m": (length, "m"),
             "width_m": (width, "m"),
             "height_m": (height, "m"),
+            "class": (np.array(VEHICLE_CLASSES)[self.traffic.model[ids]], "1"),
             "inside": ((x >= west) & (x <= east) & (y >= south) & (y <= north), "1"),
             "moving": (np.hypot(*speed) >= MOVING_SPEED_M_S, "1"),
         }

@@ -83,14 +83,8 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
     if not lanes:
         raise ValueError(f"`{path.name}` must hold at least one lane with a shape; got none.")
     count = sum(1 for edge in edges for _ in edge.iter("lane"))
-    report_reading(
-        path,
-        "lanes",
-        count,
-        len(lanes),
-        {"no road, rail, pavement or crossing": count - len(lanes)},
-        _height_notes(path, edges),
-    )
+    gone = {"no road, rail, pavement or crossing": count - len(lanes)}
+    report_reading(path, "lanes", count, len(lanes), gone, _height_notes(path, edges))
     motor_lanes = {lane.get("id") for edge in edges for lane in edge if _kind(edge, lane) == "car"}
     junctions = tuple(
         shape_points(path, junction.get("shape", ""))
