@@ -101,6 +101,8 @@ def test_it_says_where_the_equation_is_extrapolated():
     assert "GIQE-5 was fitted at a Q = λN/pitch of 1 to 2; this is 0.23" in describe_niirs(Case())
     sharp = Case().replace({"sensor.pitch_um": 2.0, "flight.rate_hz": 1.0})
     assert "fitted" not in describe_niirs(sharp)
+    blurred = describe_niirs(Case().replace({"sensor.optics.defocus_um": 5000.0}))
+    assert blurred.startswith("NIIRS below 0 ")
 
 
 def test_the_statement_on_tracking_is_what_table1_recorded():
