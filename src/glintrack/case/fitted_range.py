@@ -5,7 +5,9 @@ The ranges are in ``data/calibration``. A case outside them runs, with a warning
 
 from glintrack.case.design import Case
 from glintrack.case.quantities import ground_view
+from glintrack.core.units import format_number
 from glintrack.track.calibration import read_calibration
+from glintrack.track.detect.binning import binning_factor
 
 # a calibration holds for that much more or less than it was fitted at: a share, or an angle
 _MARGIN, _MARGIN_DEG = 0.25, 10.0
@@ -21,6 +23,24 @@ def describe_initiation(case: Case) -> str:
         f"(rules {initiation.rules!r}); coasting {initiation.coast_s:g} s, "
         f"stopped {rules.stopped_coast_s:g} s"
     )
+
+
+def detector_binning(case: Case) -> tuple[int, float]:
+    """Elements along one that the detector sees, and the ground sample distance of that. [1, m]"""
+    gsd_m = ground_view(case)[0][0]
+    factor = 1 if case.track.detect.detector == "median-motion" else binning_factor(gsd_m)
+    return factor, factor * gsd_m
+
+
+def describe_binning(case: Case) -> list[str]:
+    """Line on the elements that the detector averages, if they are finer than its fitted range."""
+    factor, gsd_m = detector_binning(case)
+    if factor == 1:
+        return []
+    return [
+        f"detector: means of {factor} × {factor} elements of a kind, with a ground sample distance of "
+        f"{format_number(gsd_m)} m"
+    ]
 
 
 def tracker_notes(case: Case) -> list[str]:
@@ -40,7 +60,7 @@ def tracker_notes(case: Case) -> list[str]:
     if design.reporting.effective_lag_s:
         values["lag_s"] = ("`track.reporting.lag_s`", design.reporting.lag_s, " s")
     if case.flight.kind != "waypoints":
-        values["gsd_m"] = ("ground sample distance", ground_view(case)[0][0], " m")
+        values["gsd_m"] = ("ground sample distance", detector_binning(case)[1], " m")
         values["off_nadir_deg"] = ("off-nadir angle", case.flight.off_nadir_deg, "°")
     outside = []
     for quantity, (words, value, unit) in values.items():

@@ -20,7 +20,7 @@ from glintrack.case.build import check_place
 from glintrack.case.check import Judgement, assess_case
 from glintrack.case.data_sheet import Polarizers, case_text
 from glintrack.case.design import Case
-from glintrack.case.fitted_range import describe_initiation, tracker_notes
+from glintrack.case.fitted_range import describe_binning, describe_initiation, tracker_notes
 from glintrack.case.niirs import NOT_TRACKING, describe_niirs
 from glintrack.case.packaged import find_case, list_cases, list_studies
 from glintrack.case.quantities import CITY_SPEED_M_S, fastest_speed_m_s
@@ -93,6 +93,7 @@ def check(
             describe_niirs(design),
             NOT_TRACKING,
             describe_initiation(design),
+            *describe_binning(design),
             *(f"derived: {value}" for value in derived_values(design.sensor).values()),
             *(f"warning: {note}" for note in notes),
             ", ".join(f"{count[answer]} {answer}" for answer in ("good", "doubtful", "bad")),

@@ -1,5 +1,7 @@
 """A textured plane with a moving box under a passing camera, as a mosaic of raw elements."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.ndimage import map_coordinates, zoom
 
@@ -42,13 +44,19 @@ def frames(
     noise=True,
     rows=((), ()),
     roof_m=0.0,
+    fine=1,
 ):
     """Frames at 2 Hz of an aircraft that passes at 50 m/s, 50° off nadir.
 
     ``turn`` turns the whole world about the vertical, counter-clockwise [rad]; ``mirror`` swaps east and
     west; ``rows`` are first easts and norths of more vehicles [m], one at each crossing; what lies north of
-    the line of the vehicle is as high as ``roof_m``.
+    the line of the vehicle is as high as ``roof_m``; an element of `CAMERA` is split into ``fine`` × ``fine``
+    with as much light and noise in all.
     """
+    camera = replace(
+        CAMERA, pitch_m=CAMERA.pitch_m / fine, rows=fine * CAMERA.rows, columns=fine * CAMERA.columns,
+        principal_row=None, principal_column=None,
+    )  # fmt: skip
     rng = np.random.default_rng(seed)
     ground = texture()
     out = []
@@ -56,8 +64,8 @@ def frames(
     for k in range(count):
         t = 0.5 * k
         pose = look_at(Pose(-60.0 + 50.0 * t, -2298.0, 1928.0), (0.0, 0.0, 0.0))
-        pixels = np.moveaxis(np.mgrid[: CAMERA.rows, : CAMERA.columns].astype(float), 0, -1)
-        points = ground_points(CAMERA, pose, pixels)
+        pixels = np.moveaxis(np.mgrid[: camera.rows, : camera.columns].astype(float), 0, -1)
+        points = ground_points(camera, pose, pixels)
         at = [150.0 - points[..., 1], 150.0 + points[..., 0]]
         light = map_coordinates(ground, at, order=1, mode="nearest")
         if roof_m:
@@ -68,15 +76,15 @@ def frames(
         for east, north in places:
             ahead, aside = np.abs(points[..., 0] - east - SPEED_M_S * t), np.abs(points[..., 1] - north)
             light = light + contrast * ((ahead < 2.3) & (aside < 1.0))
-        expected = ELECTRONS * light
-        sigma = np.sqrt(expected + DARK_E**2)
+        expected = ELECTRONS / fine**2 * light
+        sigma = np.sqrt(expected + (DARK_E / fine) ** 2)
         electrons = expected + (sigma * rng.standard_normal(sigma.shape) if noise else 0.0)
         if mirror:
             electrons, sigma = electrons[:, ::-1], sigma[:, ::-1]
         mosaic = Mosaic(electrons.astype(np.float32), sigma.astype(np.float32), layout, gains(layout))
         out.append(
             Frame(
-                t, None, mosaic, CAMERA, _turned(pose, turn, mirror), grid=GRID, channel=channel,
+                t, None, mosaic, camera, _turned(pose, turn, mirror), grid=GRID, channel=channel,
                 interval_s=0.5 if k else 0.0,
             )
         )  # fmt: skip

@@ -83,6 +83,11 @@ class Frame:
     expected_m: Float[Array, "track 2"] = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
+    def mean_height_m(self) -> float:
+        """Mean height of the ground; 0 without a terrain. [m]"""
+        return 0.0 if self.terrain is None else float(np.mean(self.terrain["height"].values))
+
+    @property
     def planes(self) -> tuple[str, ...]:
         """Variables of the image in the channel."""
         return ("pan", "dolp") if self.channel == "all" else (self.channel,)

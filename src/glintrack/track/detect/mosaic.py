@@ -16,6 +16,7 @@ from scipy.ndimage import binary_dilation, maximum_filter
 from glintrack.core.arrays import Array
 from glintrack.track.calibration import read_calibration
 from glintrack.track.design import LEARNING, DetectDesign
+from glintrack.track.detect.binning import bin_frame, frame_binning
 from glintrack.track.detect.detections import Association, Detections, no_detections
 from glintrack.track.detect.footprint import footprints, window_means
 from glintrack.track.detect.frame import Frame, Grid, grid_of
@@ -82,6 +83,8 @@ class MosaicMemory:
         Share of the last seconds for which each coarse cell of the ground was masked. [1]
     layers
         Strength in earlier frames, the oldest first.
+    factor
+        Elements along a binned one.
     frames
         Number of frames processed.
     first
@@ -93,6 +96,7 @@ class MosaicMemory:
     ground: Ground
     restless: Float[Array, "row column"]
     masked: Float[Array, "coarse_row coarse_column"]
+    factor: int
     layers: tuple[StrengthLayer, ...] = ()
     frames: int = 0
     first: tuple[Frame, ...] | None = ()
@@ -152,7 +156,7 @@ class MosaicDetector:
         grid = grid_of(frame, None)
         ground = empty_ground(grid, select_elements(mosaic.layout, frame.channel), side)
         restless, masked = (np.zeros(n, np.float32) for n in (_window_grid(grid)[1], ground.differed_s.shape))
-        return MosaicMemory(grid, mosaic.layout, ground, restless, masked)
+        return MosaicMemory(grid, mosaic.layout, ground, restless, masked, frame_binning(frame))
 
     def detect(self, state: MosaicMemory, frame: Frame) -> Detections:
         """Detect windows of a vehicle's size that differ from the ground map, along a straight motion.
@@ -169,8 +173,8 @@ class MosaicDetector:
                 f"{camera.rows} × {camera.columns} elements; got {mosaic.layout} and "
                 f"{mosaic.electrons.shape[0]} × {mosaic.electrons.shape[1]}."
             )
-        ground, channel = state.ground, frame.channel
-        seen = predict(ground, frame)
+        ground, channel, frame = state.ground, frame.channel, bin_frame(frame, state.factor)
+        mosaic, seen = raw_of(frame)[0], predict(ground, frame)
         corner, shape = _window_grid(state.grid)
         element = elements_of_cells(frame, corner, CELL_M, shape, seen.moved_m)
         planes, offsets = element_change(seen, mosaic, ground.places, channel)
@@ -210,7 +214,8 @@ class MosaicDetector:
         hidden = mask & (state.masked < 1 - math.exp(-1))  # the mask of a place ends after a long time
         first = state.first
         if first is not None and not (first and frame.time_s - first[-1].time_s < SPACING_S):
-            first = (*first, replace(frame, image=None, surface=None))  # without the large parts
+            binned = bin_frame(frame, state.factor)
+            first = (*first, replace(binned, image=None, surface=None))  # without the large parts
         if first is not None and len(first) == FIRST_FRAMES:
             ground, first = _ground_of_first_frames(state.ground, first), None
         else:
@@ -326,8 +331,7 @@ def _detections(searched: SearchedMosaic, frame: Frame, displacement_m: tuple[fl
     likely = likely[np.argsort(-searched.ratio[likely], kind="stable")]
     position, ratio = searched.place_m[likely], searched.ratio[likely]
     known = read_calibration("mosaic").constants
-    ground_m = 0.0 if frame.terrain is None else float(frame.terrain["height"].mean())
-    pose = raw_of(frame)[2]
+    pose, ground_m = raw_of(frame)[2], frame.mean_height_m
     to_camera = pose.position[:2] - position
     slope = np.hypot(*to_camera.T) / max(pose.up_m - ground_m, 1.0)
     unit = to_camera / np.maximum(np.hypot(*to_camera.T), 1e-9)[:, None]

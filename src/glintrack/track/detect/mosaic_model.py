@@ -308,8 +308,7 @@ def element_places(
     (_, camera, pose), terrain = raw_of(frame), frame.terrain
     rows, columns = (np.arange(0, n + NODE, NODE, dtype=float) for n in (camera.rows, camera.columns))
     pixels = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
-    mean = 0.0 if terrain is None else float(np.mean(terrain["height"].values))
-    height = np.full(pixels.shape[:2], mean)
+    height = np.full(pixels.shape[:2], frame.mean_height_m)
     for _ in range(_HEIGHT_STEPS):
         points = ground_points(camera, pose, pixels, height)
         height = _terrain_height(terrain, points[..., 0], points[..., 1])
