@@ -2,8 +2,9 @@
 
 import pytest
 
+from glintrack.case.check import assess_case
 from glintrack.case.design import Case
-from glintrack.case.fitted_range import describe_initiation, tracker_notes
+from glintrack.case.fitted_range import describe_binning, describe_initiation, tracker_notes
 from glintrack.case.packaged import find_case, list_cases
 
 
@@ -25,6 +26,24 @@ def test_packaged_cases_are_within_the_fitted_range(name):
 )
 def test_what_lies_outside_the_fitted_range_is_named(changes, words):
     assert words in tracker_notes(Case().replace(changes))[0]
+
+
+@pytest.mark.parametrize(
+    ("pitch_um", "line"),
+    [
+        (3.45, "detector: means of 3 × 3 elements of a kind, with a ground sample distance of 0.457 m"),
+        (1.0, "detector: means of 8 × 8 elements of a kind, with a ground sample distance of 0.353 m"),
+        (8.5, None),
+        (17.0, None),
+    ],
+)
+def test_elements_finer_than_the_fitted_range_are_averaged(pitch_um, line):
+    """An element of 17 µm sees 0.75 m."""
+    case = Case().replace({"sensor.pitch_um": pitch_um})
+    assert describe_binning(case) == ([line] if line else [])
+    assert describe_binning(case.replace({"track.detect.detector": "median-motion"})) == []
+    view = {one.name: one.answer for one in assess_case(case, ["view"])}
+    assert view["gsd_across_m"] == view["gsd_along_m"] == "good"
 
 
 def test_the_line_of_confirmation_states_the_keys_in_use():

@@ -1,9 +1,9 @@
 """The detector ``mosaic``: change of raw elements in windows of a vehicle's size, along a straight motion.
 
-In every frame each element is predicted from the past of its own kind (`mosaic_model`). The squared
-difference over its variance is averaged over windows of a vehicle's size on the ground (`footprint`). Its
-peaks are scored by the evidence along their best straight motion in the frames before (`mosaic_peaks`). Weak
-detections go to the tracker with their log-likelihood ratio.
+Elements that are too fine are averaged (`binning`). In every frame each element is predicted from the past of
+its own kind (`mosaic_model`). The squared difference over its variance is averaged over windows of a vehicle's
+size on the ground (`footprint`). Its peaks are scored by the evidence along their best straight motion in the
+frames before (`mosaic_peaks`). Weak detections go to the tracker with their log-likelihood ratio.
 """
 
 import math
