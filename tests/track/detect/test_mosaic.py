@@ -66,6 +66,30 @@ def test_step_in_known_noise_is_found_as_often_as_gaussian_noise_says(step_sigma
     assert np.mean(residual > threshold) == pytest.approx(closed_form, abs=0.02)
 
 
+@pytest.mark.parametrize(("gsd_m", "side", "count"), [(0.4, 1, 1.0), (0.75, 1, 4.0), (0.375, 2, 4.0)])
+def test_the_scale_rises_by_one_step_in_a_cell_of_many_elements(gsd_m, side, count):
+    """Otherwise a vehicle of many elements hides itself from the next frame."""
+    camera, grid = Camera(0.1, 1e-4 * gsd_m, 96, 96), Grid((12, 12), (-8.25, 8.25), 1.5)
+    layout = tuple(("open",) * side for _ in range(side))
+
+    def frame_of(level, time_s):
+        noisy = np.full((96, 96), level), np.full((96, 96), 30.0)
+        mosaic = Mosaic(*noisy, layout, np.ones((side, side, 3)))
+        return Frame(time_s, mosaic=mosaic, camera=camera, pose=Pose(0.0, 0.0, 1000.0))
+
+    ground = model.empty_ground(grid, ((0, 0),), side)
+    none = np.zeros(ground.differed_s.shape, bool)
+    for k in range(60):
+        ground = model.update_ground(
+            ground, model.predict(ground, frame_of(5e3, k / 30)), none, k / 30, 1 / 30
+        )
+    after = model.update_ground(ground, model.predict(ground, frame_of(6e3, 2.0)), none, 2.0, 1 / 30)
+    rise = np.log(after.scales[0] / ground.scales[0])[8:-8, 8:-8]
+    step = 4 * -np.expm1(-1 / 30 / (model.SCALE_SHARE * 2.0)) * model.SCALE_QUANTILE
+    elements_at_the_edge_of_cells = 0.3
+    assert rise.mean() / step == pytest.approx(count, rel=elements_at_the_edge_of_cells)
+
+
 def test_what_is_expected_has_no_bias_and_little_variance():
     frames = flight.frames(10, "all", vehicle=False, noise=False)
     _, state = fly(frames)

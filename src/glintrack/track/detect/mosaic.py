@@ -1,7 +1,7 @@
 """The detector ``mosaic``: change of raw elements in windows of a vehicle's size, along a straight motion.
 
 Elements that are too fine are averaged (`binning`). In every frame each element is predicted from the past of
-its own kind (`mosaic_model`). The squared difference over its variance is averaged over windows of a vehicle's
+its own kind (`mosaic_model`). The squared difference over its variance is averaged over windows of a car's
 size on the ground (`footprint`). Its peaks are scored by the evidence along their best straight motion in the
 frames before (`mosaic_peaks`). Weak detections go to the tracker with their log-likelihood ratio.
 """

@@ -35,6 +35,7 @@ MIN_WEIGHT = 0.6  # sum of weights of a cell that predicts
 RIDGE = 0.025  # regularization of the slopes. [m²]
 SCALE_S, SCALE_QUANTILE, SCALE_START, MIN_SCALE = 3.0, 0.7, 3.0, 0.3
 SCALE_SHARE = 0.6  # time constant at first, as a share of the time since the first frame
+MAX_PER_CELL = 4.5  # elements of a kind in a coarse cell that count one by one: as in the calibration
 PARTS = np.array([0.8, 0.1, 0.5])  # of scale, spread and leverage in a residual's variance
 SOFT, HEAL_LIMIT, HEAL_S, HEALING = 16.0, 9.0, 1.4, 0.7
 SHIFT_SOFT, SHIFT_STEPS, SHIFT_ROWS, SHIFT_DONE_M, ANCHOR_S = 4.0, 2, 4, 0.05, 3.0
@@ -198,7 +199,7 @@ def update_ground(
     metric, reach = _kernel(x, y)
     first_s = time_s if ground.first_s is None else ground.first_s
     scale_s = min(SCALE_S, max(SCALE_SHARE * (time_s - first_s), 1e-3))  # shorter at first
-    step = 4 * -math.expm1(-max(interval_s, 1e-3) / scale_s)
+    step = 4 * -math.expm1(-max(interval_s, 1e-3) / scale_s) / _scale_divisor(metric, ground.side)
     rates = math.exp(step * SCALE_QUANTILE), math.exp(step * (SCALE_QUANTILE - 1)), MIN_SCALE
 
     def one(k: int):
@@ -280,6 +281,13 @@ def _kernel(x, y) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
     form = to_array.T @ to_array
     reach = np.sqrt(np.diag(np.linalg.inv(form)))
     return np.array([form[0, 0], 2 * form[0, 1], form[1, 1]]), reach
+
+
+def _scale_divisor(metric: Float[Array, "3"], side: int) -> float:
+    """Elements of a kind in a coarse cell, which count as one; 1 if no more than in the calibration."""
+    element = 1 / (REACH**2 * math.sqrt(metric[0] * metric[2] - metric[1] ** 2 / 4))  # on the ground. [cell²]
+    count = COARSE**2 / (side**2 * element)
+    return count if count > MAX_PER_CELL else 1.0
 
 
 def _terrain_height(
