@@ -30,7 +30,9 @@ def convert(text: str) -> str:
     check(unit > 0, f"a UNIT of {', '.join(UNITS_MM)}")
     check(read_words(head, "MODE", "SEQ") == ["SEQ"], "sequential mode")
     check(read_words(head, "MNUM", "1")[0] == "1", "one configuration")
-    kind, telecentric, fields, waves = (int(word) for word in read_words(head, "FTYP", "0 0 0 0")[:4])
+    counts = read_words(head, "FTYP")[:4]
+    check(len(counts) == 4, "numbers of fields and wavelengths (FTYP); save it by a newer version")
+    kind, telecentric, fields, waves = (int(word) for word in counts)
     check(kind == 1, "fields of the type Object Height (FTYP 1)")
     aperture = read_words(head, "OBNA")
     check(aperture[1:2] == ["0"], "an aperture of the type Object Space NA (OBNA)")

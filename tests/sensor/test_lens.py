@@ -146,6 +146,7 @@ def test_a_zemax_file_is_converted(tmp_path, monkeypatch, unit, mm, encoding):
     [
         (("UNIT MM", "UNIT FURLONG"), "a UNIT of MM, CM, IN, METER"),
         (("FTYP 1", "FTYP 0"), "fields of the type Object Height"),
+        (("FTYP 1 1 6 3 0 0 0", "FTYP 1"), "numbers of fields and wavelengths"),
         (("OBNA", "ENPD"), "an aperture of the type Object Space NA"),
         (("DISZ 300", "DISZ INFINITY"), "an object at a finite distance"),
         (("SURF 1\r\n  TYPE STANDARD", "SURF 1\r\n  TYPE BINARY_2"), "got BINARY_2 at SURF 1"),

@@ -116,6 +116,7 @@ def test_what_does_not_stand_is_left_out_with_its_reason(tmp_path):
     town = _Areas()
     town.box(20, 20, 30, 20, building="yes", height="12")
     town.box(60, 20, 30, 20, building="no")
+    town.box(25, 25, 10, 10, building__part="yes", height="40")
     town.box(20, 60, 30, 20, building="yes", location="underground", building__levels="2")
     town.box(60, 60, 30, 20, building="garage", layer="-1")
     town.box(20, 100, 30, 20, building="proposed")
@@ -129,6 +130,7 @@ def test_what_does_not_stand_is_left_out_with_its_reason(tmp_path):
     assert buildings == pytest.approx({12.0: 600, 9.0: 600}, rel=0.01) and grounds == {}
     assert left_out == {
         "building=no": 1,
+        "building:part: the outline of its building is used": 1,
         "under ground": 4,
         "demolished or proposed": 3,
         "rings that do not close": 1,

@@ -124,6 +124,8 @@ def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
     building = tags.get("building", "no")
     if any(f"{state}:building" in tags for state in _GONE) and building == "no":
         return "building", "demolished or proposed"
+    if tags.get("building:part", "no") != "no" and building == "no":
+        return "building", "building:part: the outline of its building is used"
     if "building" in tags:
         kind = "building"
     else:
