@@ -191,6 +191,11 @@ POSES = (
 )
 CURVE = "wavelength_um,efficiency\n0.35,0.1\n0.5,0.8\n0.9,0.5\n1.1,0.05\n"
 SPECTRUM = "# source: made up\nwavelength_um,reflectance\n0.3,0.1\n0.7,0.2\n1.5,\n2.6,0.3\n"
+ECOSTRESS = (
+    "Name: mud\nX Units: Wavelength (micrometers)\nY Units: Reflectance (percent)\nNumber of X Values: 3\n\n"
+    "2.6\t30.5\n1.5\t-1.23e+34\n0.3\t10\n"
+)
+MOT = "".join(f"{k + 1},1,{10 + k},20,4,6,1,-1,-1,-1\n" for k in range(6))
 NK = "# source: made up\nwavelength_um,n,k\n0.3,1.0,2.0\n0.7,2.0,4.0\n2.6,3.0,9.0\n"
 MATERIALS = """[mud]
 constant = 0.2
@@ -421,6 +426,7 @@ READERS = (
     Reader("detections", ".csv", text(DETECTIONS), read_detections, nan_means_none=True),
     Reader("tracks", ".csv", text(TRACKS), read_tracks),
     Reader("truth", ".csv", text(TRUTH), read_truth),
+    Reader("tracks, MOTChallenge", ".txt", text(MOT), lambda p: read_tracks(p, 2.0, Geotransform(0, 9, 0.5))),
     Reader("camera", ".toml", text(CAMERA), read_camera),
     Reader("pose", ".toml", text(POSE), lambda path: read_pose(path, "a.tif")),
     Reader("poses, CSV", ".csv", text(POSES), lambda path: read_pose(path, "a.tif")),
@@ -435,6 +441,7 @@ READERS = (
     Reader("polarizer", ".nc", _polarizer, lambda path: load_polarizer(SensorDesign(polarizer=str(path)))),
     Reader("recording", ".nc", _recording, _moving),
     Reader("spectrum", ".csv", text(SPECTRUM), _spectrum),
+    Reader("spectrum, ECOSTRESS", ".txt", text(ECOSTRESS), _spectrum),
     Reader("result, arrays", ".nc", _of_a_result("result.nc"), _in_a_result("result.nc"), True),
     Reader("result, film", ".json", _of_a_result("film/film.json"), _in_a_result("film/film.json")),
     Reader(

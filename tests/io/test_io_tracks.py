@@ -328,7 +328,7 @@ def test_boxes_that_do_not_count_are_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("text", "options", "sentence"),
     [
-        ("1,1,5,5,9,9,1,-1,-1,-1\n2,1,7,5,9,9,1,-1,-1,-1\n", {}, "`rate` must be given for frame numbers"),
+        ("1,1,5,5,9,9,1,-1,-1,-1\n2,1,7,5,9,9,1,-1,-1,-1\n", {}, "`rate` must be given with frame numbers"),
         ("1,1,5,5,9,9,1,-1,-1,-1\n", {"rate_hz": 0.001}, "`rate` must be 0.1 to 1,000 Hz"),
         ("1,1,5,5,9,9,1,-1,-1,-1\n2,1,7,5,9,9,1,-1,-1,-1\n", {"rate_hz": 5}, "`geotransform` must be given"),
         ("1,1,5,5,9,9,1,4,0,0\n2,1,7,5,9,9,1,4,1,1\n", {"rate_hz": 5}, "`geotransform` must be given"),

@@ -135,7 +135,7 @@ def read_mot(path: Path, name: str, rate_hz: float | None, grid: Geotransform | 
             f"got others in {path}. Add 1 to frames that count from 0."
         )
     if rate_hz is None:
-        raise ValueError(f"`rate` must be given for frame numbers instead of times; got none for {path}.")
+        raise ValueError(f"`rate` must be given with frame numbers; got none for {path}. Give --rate HZ.")
     check_rate(rate_hz)
     frame, ident, left, top, wide, high = boxes.T
     x, y = left - 1 + wide / 2, top - 1 + high / 2
