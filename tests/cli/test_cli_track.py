@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pandas as pd
+import PIL.Image
 import pytest
 import rasterio
 import xarray as xr
@@ -15,6 +16,8 @@ from glintrack.io.detections import read_detections, read_truth
 from glintrack.io.tracks import TRACK_COLUMNS, WRITERS
 from glintrack.results.froc import froc
 from glintrack.track.files import track_detections
+from tests.ortho.test_stabilization import ground as painted_ground
+from tests.ortho.test_stabilization import onto_ground, seen
 
 
 def run(monkeypatch, capsys, *arguments):
@@ -424,3 +427,45 @@ def test_kilometres_for_metres_are_asked_about(tmp_path, monkeypatch, capsys):
     (tmp_path / "d.csv").write_text("time_s,east_m,north_m\n" + "\n".join(rows) + "\n")
     code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out")
     assert code == 0 and "are east_m and north_m in metres?" in said
+
+
+def test_frames_of_a_moving_camera_become_tracks_with_one_command(tmp_path, monkeypatch, capsys):
+    """Two vehicles on painted ground: each is one track, nothing else is, and the page shows them."""
+    pytest.importorskip("cv2")
+    ground, folder = painted_ground(), tmp_path / "frames"
+    folder.mkdir()
+    moments = np.r_[0:5, 6:11]  # one frame is lost
+    for k in moments:
+        scene = ground.copy()
+        for row, column in ((300.0, 240 + 8.0 * k), (250 + 7.0 * k, 340.0)):
+            r, c = round(row), round(column)
+            scene[r - 2 : r + 3, c - 2 : c + 3] = 255
+        PIL.Image.fromarray(seen(scene, onto_ground(k)).clip(0, 255).astype(np.uint8)).save(
+            folder / f"{k}.png"
+        )
+    times = 100 + 0.6 * moments
+    (tmp_path / "times.csv").write_text("time_s\n" + "\n".join(map(str, times)))
+    ways = ("--stabilize", "--report", "--times", tmp_path / "times.csv", "--geotransform", 0, 0, 1)
+    code, said, _ = run(monkeypatch, capsys, "track", folder, "-o", tmp_path / "out", *ways)
+    assert code == 0 and "2 tracks over 10 frames" in said and "10 stabilized frames 10" in said
+    table = pd.read_csv(tmp_path / "out" / "tracks.csv")
+    assert set(table["time_s"]) <= set(times) and (table.groupby("track_id").size() >= 7).all()
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count("image/jpeg") == 1 and page.count('<th scope="row">') == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("time_s\n0\n1\n", "`times` must have one row for each frame; got 2 for more frames"),
+        ("time_s\n0\n1\n2\n3\n4\n", "`times` must have one row for each frame; got 5 for 4 frames"),
+        ("time_s\n0\n2\n1\n3\n", "`times` must be numbers that rise; got 1 in row 3"),
+        ("t\n0\n2\n1\n3\n", "`times` must have a column time_s; got none"),
+    ],
+)
+def test_wrong_times_of_frames_are_one_sentence(text, complaint, tmp_path, monkeypatch, capsys):
+    write_tiffs(tmp_path / "frames", list(moving_squares(4)))
+    (tmp_path / "t.csv").write_text(text)
+    extra = ("-o", tmp_path / "out", "--times", tmp_path / "t.csv")
+    code, _, said = run(monkeypatch, capsys, "track", tmp_path / "frames", *extra)
+    assert code == 2 and complaint in said and not (tmp_path / "out").exists()

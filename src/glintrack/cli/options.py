@@ -119,7 +119,8 @@ class Bar(Progress):
 
     def __init__(self, console: Console, *columns: ProgressColumn, transient: bool = False):
         shown = columns or (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-        super().__init__(*shown, console=console, transient=transient, disable=not console.is_terminal)
+        shows = console.is_terminal  # a bar that is not shown counts only without its own refresh
+        super().__init__(*shown, console=console, transient=transient, disable=not shows, auto_refresh=shows)
         self._described: dict[TaskID, str] = {}
         self._step = ""
         self._stopped, self._exit = threading.Event(), ExitStack()

@@ -1,7 +1,8 @@
 """``glintrack track``: track your own detections or frames."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
@@ -15,12 +16,15 @@ from glintrack.cli.options import Area, Bar, Corner, argument, command_app, open
 from glintrack.io import atomic
 from glintrack.io.crs import metric_crs, warn_off_map
 from glintrack.io.detections import DetectionTable, read_detections, read_truth
-from glintrack.io.orthoimages import Geotransform, open_frames
+from glintrack.io.orthoimages import FrameSource, Geotransform, open_frames, read_frame_times
 from glintrack.io.readings import report_reading
 from glintrack.io.toml import read_toml
 from glintrack.io.tracks import WRITERS, TrackGeoreference, track_table, write_tables
+from glintrack.ortho.stabilization import register_frames, stabilize
+from glintrack.report.frames_page import FrameFilm, write_frames_page
 from glintrack.results.froc import FROC_SCORES, froc
 from glintrack.study.design import flat
+from glintrack.track.design import TrackDesign
 from glintrack.track.files import (
     DETECTIONS_DESIGN,
     FRAMES_DESIGN,
@@ -54,6 +58,13 @@ def track_files(
     design: Annotated[Path | None, option("TOML file with keys of a case's [track] table")] = None,
     strict: Annotated[bool, option("No coasted positions: fewer, purer tracks", "--strict")] = False,
     froc_truth: Annotated[Path | None, option("Truth as for score, to write froc.csv", "--froc")] = None,
+    uses_stabilization: Annotated[
+        bool, option("Stabilize frames of a moving camera first (extra `stabilize`)", "--stabilize")
+    ] = False,
+    times: Annotated[Path | None, option("CSV file with time_s of each frame [s]", "--times")] = None,
+    has_page: Annotated[
+        bool, option("Write report.html: film of the frames, tracks, counts", "--report")
+    ] = False,
 ) -> None:
     """Track your own detections or frames.
 
@@ -61,12 +72,13 @@ def track_files(
     """
     if crs is not None:
         metric_crs(crs)
-    console, swept = open_console(), list[dict[str, float]]()
+    console, swept, film = open_console(), list[dict[str, float]](), None
     changes = {} if design is None else over_like(read_toml(design, "design"))
     changes = flat(changes.get("track", changes))
     grid = None if geotransform is None else Geotransform(*geotransform)
     if source.suffix.lower() in (".csv", ".txt"):
-        _check_unused("frames", source, channel=channel)
+        only_frames = {"stabilize": uses_stabilization or None, "report": has_page or None, "times": times}
+        _check_unused("frames", source, channel=channel, **only_frames)
         if source.suffix.lower() == ".csv":
             _check_unused("frames or MOT .txt", source, rate=rate_hz, geotransform=geotransform)
         chosen = None if features is None else tuple(n for n in features.split(",") if n not in ("", "none"))
@@ -85,35 +97,60 @@ def track_files(
             swept = froc(table, read_truth(froc_truth, rate_hz, grid), FROC_SCORES, tracker, area)
     else:
         _check_unused("detections", source, froc=froc_truth, features=features, area=area)
-        frames = open_frames(source, rate_hz, grid)
-        if crs is not None and frames.crs is not None and metric_crs(crs) != metric_crs(frames.crs):
-            raise ValueError(f"`crs` must be the frames' own, {frames.crs}; got {crs}. Leave --crs out.")
         tracker = frames_design(changes | ({} if channel is None else {"detect.channel": channel}))
         tracker = strict_design(tracker) if strict else tracker
-        if tracker.detect.channel != "pan" and not frames.dolp:
-            raise ValueError(
-                f"`channel` must be pan for frames without bands I, Q and U; got {tracker.detect.channel} "
-                f"for {source}."
-            )
-        first = list(next(((one,) for one in frames.frames), ()))
-        reports = track_frames(chain(first, frames.frames), tracker)
-        with Bar(console, transient=True) as bar:
-            reports = list(bar.track(reports, frames.count, description="tracking"))
-        rows, times_s = as_rows(reports), sorted({time_s for time_s, _ in reports})
-        if tracker.detect.detector == FRAMES_DESIGN.detect.detector and len(times_s) < MIN_FRAMES:
-            raise ValueError(
-                f"`frames` must be at least {MIN_FRAMES}, through which a vehicle is seen to move; "
-                f"got {len(times_s)} in {source}."
-            )
-        place = TrackGeoreference(crs or frames.crs, times_s=times_s)
-        for _, image in first:
-            x, y = image["x"].values, image["y"].values
-            cell = float(abs(x[1] - x[0])) if len(x) > 1 else 1.0
-            edges_m = x[0] - cell / 2, y[-1] - cell / 2, x[-1] + cell / 2, y[0] + cell / 2
-            place = replace(place, area_m=tuple(map(float, edges_m)), cell_m=cell)
-    _write(console, output, rows, place, swept)
+        times_s = None if times is None else read_frame_times(times)
+        frames = open_frames(source, rate_hz, grid, times_s)
+        if crs is not None and frames.crs is not None and metric_crs(crs) != metric_crs(frames.crs):
+            raise ValueError(f"`crs` must be the frames' own, {frames.crs}; got {crs}. Leave --crs out.")
+        if uses_stabilization:
+            frames = _stabilize(console, source, frames, open_frames(source, rate_hz, grid, times_s))
+        film = FrameFilm() if has_page else None
+        rows, place = _track_frames(console, source, frames, tracker, film)
+        place = replace(place, crs=crs or frames.crs)
+    page = None if film is None else partial(write_frames_page, title=source.name, film=film)
+    _write(console, output, rows, place, swept, page)
     if not rows.sizes.get("row"):
         console.print(f"no tracks: {_explain_no_tracks(place.times_s)}")
+
+
+def _stabilize(console: Console, source: Path, frames: FrameSource, again: FrameSource) -> FrameSource:
+    """Register all frames, and return them on one grid."""
+    images = (image["pan"].values for _, image in frames.frames)
+    with Bar(console, transient=True) as bar:
+        onto_first = list(bar.track(register_frames(images), frames.count, description="stabilizing"))
+    count, lost = len(onto_first), sum(one is None for one in onto_first)
+    report_reading(source, "stabilized frames", count, count - lost, {"no match with earlier frames": lost})
+    return stabilize(again, onto_first)
+
+
+def _track_frames(
+    console: Console, source: Path, frames: FrameSource, tracker: TrackDesign, film: FrameFilm | None
+) -> tuple[xr.Dataset, TrackGeoreference]:
+    """Rows of the tracks in frames, and where the frames lie."""
+    if tracker.detect.channel != "pan" and not frames.dolp:
+        raise ValueError(
+            f"`channel` must be pan for frames without bands I, Q and U; got {tracker.detect.channel} "
+            f"for {source}."
+        )
+    first = list(next(((one,) for one in frames.frames), ()))
+    images = chain(first, frames.frames)
+    reports = track_frames(images if film is None else film.record(images), tracker)
+    with Bar(console, transient=True) as bar:
+        reports = list(bar.track(reports, frames.count, description="tracking"))
+    times_s = sorted({time_s for time_s, _ in reports})
+    if tracker.detect.detector == FRAMES_DESIGN.detect.detector and len(times_s) < MIN_FRAMES:
+        raise ValueError(
+            f"`frames` must be at least {MIN_FRAMES}, through which a vehicle is seen to move; "
+            f"got {len(times_s)} in {source}."
+        )
+    place = TrackGeoreference(times_s=times_s)
+    for _, image in first:
+        x, y = image["x"].values, image["y"].values
+        cell = float(abs(x[1] - x[0])) if len(x) > 1 else 1.0
+        edges_m = x[0] - cell / 2, y[-1] - cell / 2, x[-1] + cell / 2, y[0] + cell / 2
+        place = replace(place, area_m=tuple(map(float, edges_m)), cell_m=cell)
+    return as_rows(reports), place
 
 
 def _check_unused(of: str, source: Path, **options: object) -> None:
@@ -152,7 +189,12 @@ def _explain_no_tracks(times_s: Sequence[float]) -> str:
 
 
 def _write(
-    console: Console, output: Path, rows: xr.Dataset, place: TrackGeoreference, swept: list[dict[str, float]]
+    console: Console,
+    output: Path,
+    rows: xr.Dataset,
+    place: TrackGeoreference,
+    swept: list[dict[str, float]],
+    write_page: Callable[..., None] | None,
 ) -> None:
     """Write tracks and FROC curve into a new folder, and print how many tracks there are."""
     count = len(set(rows["track_id"].values.tolist())) if "track_id" in rows else 0
@@ -166,6 +208,9 @@ def _write(
             lines = [",".join(swept[0]), *(",".join(f"{v:.6g}" for v in one.values()) for one in swept)]
             atomic.write_text(folder.partial / "froc.csv", "\n".join(lines) + "\n")
             names = [*names, "froc.csv"]
+        if write_page is not None:
+            write_page(folder.partial / "report.html", rows=rows)
+            names = [*names, "report.html"]
     except BaseException:
         folder.discard()
         raise

@@ -6,11 +6,12 @@ bands named I, Q and U, as glintrack writes them, give DoLP as well.
 
 import math
 import warnings
-from collections.abc import Iterator, Mapping
-from dataclasses import astuple, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from glintrack.core.arrays import Array
@@ -20,6 +21,7 @@ from glintrack.io.crs import longitude_latitude, metric_crs
 from glintrack.io.read_raster import open_bands, read_raster
 from glintrack.io.readings import report_reading
 from glintrack.io.stacks import open_stack
+from glintrack.io.tables import read_csv
 from glintrack.io.times import check_rate, check_steps
 from glintrack.io.untrusted import MAX_CELL_M, MAX_CELLS, MAX_COORDINATE_M, check_file, natural_order
 
@@ -68,7 +70,10 @@ class FrameSource:
 
 
 def open_frames(
-    path: Path, rate_hz: float | None = None, geotransform: Geotransform | None = None
+    path: Path,
+    rate_hz: float | None = None,
+    geotransform: Geotransform | None = None,
+    times_s: Sequence[float] | None = None,
 ) -> FrameSource:
     """Open a source of frames.
 
@@ -81,12 +86,17 @@ def open_frames(
         Frame rate if the files have no times (tag ``time_s``, coordinate ``time``). [Hz]
     geotransform
         Position of the pixels, for videos and files without one.
+    times_s
+        Times of all frames, which replace their own and the rate. [s]
 
     Raises
     ------
     ValueError
         In one sentence: the requirement and what was found.
     """
+    if times_s is not None:
+        source = open_frames(path, 1.0, geotransform)
+        return replace(source, frames=_replace_times(source.frames, times_s, path))
     if rate_hz is not None:
         check_rate(rate_hz)
     if geotransform is not None:
@@ -102,6 +112,40 @@ def open_frames(
         return _video(path, rate_hz, geotransform)
     known = " ".join((*STACKS, *VIDEOS))
     raise ValueError(f"`frames` must be a folder of rasters, a stack or a video ({known}); got {path}.")
+
+
+def _replace_times(
+    frames: Iterator[tuple[float, xr.Dataset]], times_s: Sequence[float], path: Path
+) -> Iterator[tuple[float, xr.Dataset]]:
+    k = -1
+    for k, (_, image) in enumerate(frames):
+        if k >= len(times_s):
+            break
+        yield float(times_s[k]), image
+    if k + 1 != len(times_s):
+        got = f"{len(times_s)} for {'more' if k >= len(times_s) else k + 1} frames"
+        raise ValueError(f"`times` must have one row for each frame; got {got} in {path}.")
+
+
+def read_frame_times(path: Path) -> list[float]:
+    """Read the times of frames in their order, from the column ``time_s`` of a CSV file. [s]
+
+    Raises
+    ------
+    ValueError
+        If a time is missing or not later than the one before it, or the times are not in seconds.
+    """
+    table = read_csv(path, "times", only=lambda name: name == "time_s")
+    if "time_s" not in table:
+        raise ValueError(f"`times` must have a column time_s; got none in {path}.")
+    times = np.asarray(pd.to_numeric(table["time_s"], errors="coerce"), float)
+    wrong = np.flatnonzero(~np.isfinite(times) | np.r_[False, ~(np.diff(times) > 0)])
+    if len(wrong):
+        row = int(wrong[0])
+        got = f"{table['time_s'].iloc[row]} in row {row + 1} of {path}"
+        raise ValueError(f"`times` must be numbers that rise; got {got}.")
+    check_steps(times, "time_s", path)
+    return [float(time_s) for time_s in times]
 
 
 def check_grid(grid: Geotransform, what: str) -> None:

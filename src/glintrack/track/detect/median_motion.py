@@ -32,6 +32,7 @@ WINDOW = 6  # frames in a median: more include parallax, fewer a queue
 SPACING_S = 0.35  # between stored frames: at 25 Hz nothing moves from one to the next
 FOOTPRINT_M = (4.6, 2.6)
 CAP = 6.0  # standard deviations: a glint counts as much as a car
+KERNEL_PX = 2  # half width of the cubic kernel
 BLANK_PX = 7  # a square of zeros of this side is no data
 SIGMA_PX = 0.3  # standard deviation of a position, added to the design's
 DECISION_RATIO = 2.0  # at which a single detection is as often right as wrong, and its contrast 1
@@ -161,12 +162,13 @@ def _register(
 
 
 def _mask_blanks(values: Float[Array, "y x"]) -> Float[Array, "y x"]:
-    """Set squares of zeros, which are missing data, to NaN."""
-    zero = values == 0
-    if not zero.any():
+    """Set squares of zeros, which are missing data, to NaN, and all pixels whose resampling needs those."""
+    zero, missing = values == 0, np.isnan(values)
+    if zero.any():
+        missing |= zero & maximum_filter(maximum_filter(~zero, BLANK_PX) == 0, BLANK_PX)
+    if not missing.any():
         return values
-    blank = maximum_filter(maximum_filter(~zero, BLANK_PX) == 0, BLANK_PX)
-    return np.where(blank & zero, np.float32(np.nan), values)
+    return np.where(maximum_filter(missing, 2 * KERNEL_PX + 1), np.float32(np.nan), values)
 
 
 def _stack_window(past: tuple[PlacedFrame, ...], name: str) -> Float[Array, "frame y x"]:

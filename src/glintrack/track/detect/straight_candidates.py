@@ -2,13 +2,14 @@
 
 The likelihood of a candidate rises with its strength in the weakest of three frames along its best straight
 motion and with that in a fourth frame, and falls with the strength at rest in the two frames before. A dark
-candidate next to a bright one is its shadow. Weights of the logistic model are in
+candidate next to a bright one that moves alike is its shadow: both become one candidate between them, so that
+its position does not jump when the other one is the stronger. Weights of the logistic model are in
 ``data/calibration/median_motion.toml``.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba as nb
 import numpy as np
@@ -20,7 +21,8 @@ from glintrack.track.calibration import read_calibration
 from glintrack.track.detect.footprint import peak_places, peaks
 
 APART_M = 3.0  # of detections: cars in a queue stand 6 m apart
-SHADOW_M = 5.0  # from a vehicle to the middle of its shadow, at most
+SHADOW_M = 6.0  # from a vehicle to the middle of its shadow, at most
+SHADOW_SPEED_M_S = 4.0  # greatest difference of the velocities of a vehicle and its shadow
 MIN_RATIO, MAX_RATIO = -0.5, 9.0  # of candidates
 MIN_SPEED_M_S = 1.5
 BEFORE = 3  # earlier frames that are searched
@@ -231,7 +233,7 @@ def _find_motion(last, before, reach, cell, now, steps, share, weakest, best, st
 
 
 def select_candidates(found: StraightCandidates, most: int, gsd_m: float) -> StraightCandidates:
-    """Select the most likely candidate of each vehicle: no two nearer than a vehicle, and no shadows.
+    """Select the most likely candidate of each vehicle, and merge it with its shadow.
 
     Parameters
     ----------
@@ -249,9 +251,22 @@ def select_candidates(found: StraightCandidates, most: int, gsd_m: float) -> Str
         return found
     selected = np.ones(len(found), bool)
     near = np.sort(KDTree(found.place).query_pairs(SHADOW_M / gsd_m, output_type="ndarray"), axis=1)
-    distance = gsd_m * np.hypot(*(found.place[near[:, 0]] - found.place[near[:, 1]]).T)
+    apart_m, speed_m_s = (
+        gsd_m * np.hypot(*(of[near[:, 0]] - of[near[:, 1]]).T) for of in (found.place, found.velocity)
+    )
     other = found.bright[near[:, 0]] != found.bright[near[:, 1]]
-    near = near[(distance <= APART_M) | other]
-    for first, second in near[np.lexsort(near.T[::-1])]:
-        selected[second] &= not selected[first]
-    return found.take(selected)
+    shadow = other & (speed_m_s <= SHADOW_SPEED_M_S)
+    place, before, merged = found.place.copy(), found.before.copy(), np.zeros(len(found), bool)
+    order = np.lexsort(near.T[::-1])
+    for k in order[((apart_m <= APART_M) | other)[order]]:
+        first, second = near[k]
+        if not selected[first]:
+            continue
+        if selected[second] and shadow[k] and not merged[first]:
+            share = found.now[second] / (found.now[first] + found.now[second])
+            place[first] += share * (found.place[second] - found.place[first])
+            step = share * (found.before[second] - found.before[first])
+            before[first] += np.where(np.isnan(step), place[first] - found.place[first], step)
+            merged[first] = True
+        selected[second] = False
+    return replace(found, place=place, before=before).take(selected)

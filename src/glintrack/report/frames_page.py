@@ -1,0 +1,115 @@
+"""Report page of tracks in a user's own frames: the film with the tracks over it, and their counts."""
+
+import base64
+import io
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from PIL import Image
+
+from glintrack.core.arrays import Array
+from glintrack.core.records import Extent
+from glintrack.io.atomic import write_text
+from glintrack.report.page import render_page, script_json
+
+MAX_SIDE_PX, QUALITY = 1000, 60  # of a picture
+MAX_PICTURES = 300  # of frames after these the page shows the tracks alone
+_LEVELS = (0.005, 0.985)  # quantiles of the first frame that become black and white
+TRACK_COLUMNS = ("track", "frames", "first [s]", "last [s]", "mean speed [m/s]")
+
+
+@dataclass
+class FrameFilm:
+    """Pictures of frames, recorded while the frames are tracked.
+
+    Parameters
+    ----------
+    times_s
+        Times of the frames. [s]
+    pictures
+        Frames as JPEG, at most `MAX_PICTURES`.
+    extent_m
+        Ground of the pictures; None before the first. [m]
+    levels
+        Values that are shown black and white.
+    """
+
+    times_s: list[float] = field(default_factory=list)
+    pictures: list[bytes] = field(default_factory=list)
+    extent_m: Extent | None = None
+    levels: tuple[float, float] = (0.0, 1.0)
+
+    def record(self, frames: Iterable[tuple[float, xr.Dataset]]) -> Iterator[tuple[float, xr.Dataset]]:
+        """Yield the frames unchanged, and keep a picture of each."""
+        for time_s, image in frames:
+            if self.extent_m is None:
+                x, y = image["x"].values, image["y"].values
+                half = 0.5 * float(x[1] - x[0])
+                self.extent_m = Extent(
+                    float(x[0]) - half, float(y[-1]) - half, float(x[-1]) + half, float(y[0]) + half
+                )
+                known = image["pan"].values[np.isfinite(image["pan"].values)]
+                self.levels = tuple(np.quantile(known, _LEVELS).tolist()) if len(known) else self.levels
+            self.times_s.append(time_s)
+            if len(self.pictures) < MAX_PICTURES:
+                self.pictures.append(_jpeg(image["pan"].values, self.levels))
+            yield time_s, image
+
+
+def _jpeg(values: Array, levels: tuple[float, float]) -> bytes:
+    low, high = levels
+    grey = np.clip((np.nan_to_num(values, nan=low) - low) / max(high - low, 1e-12), 0, 1)
+    picture = Image.fromarray(np.rint(255 * np.sqrt(grey)).astype(np.uint8))
+    picture.thumbnail((MAX_SIDE_PX, MAX_SIDE_PX))
+    out = io.BytesIO()
+    picture.save(out, "JPEG", quality=QUALITY)
+    return out.getvalue()
+
+
+def write_frames_page(path: Path, title: str, film: FrameFilm, rows: xr.Dataset) -> None:
+    """Write the page.
+
+    Parameters
+    ----------
+    path
+        HTML file.
+    title
+        Name of the frames.
+    film
+        Recorded film of all frames.
+    rows
+        Rows of the tracks, see `track.files.as_rows`.
+    """
+    ids = rows["track_id"].values if "track_id" in rows else np.empty(0, int)
+    frames = len(film.times_s)
+    counts = [
+        ("frames", str(frames)),
+        ("duration [s]", f"{film.times_s[-1] - film.times_s[0]:.3g}" if frames else "0"),
+        ("tracks", str(len(np.unique(ids)))),
+        ("vehicles in a frame, mean", f"{len(ids) / max(frames, 1):.3g}"),
+    ]
+    west, south, east, north = film.extent_m or Extent(0.0, 0.0, 1.0, 1.0)
+    paths, table = [], []
+    for ident in np.unique(ids):
+        at = np.flatnonzero(ids == ident)
+        times_s, x, y = (rows[name].values[at] for name in ("time_s", "east_m", "north_m"))
+        across, down = ((x - west) / (east - west)).round(5), ((north - y) / (north - south)).round(5)
+        index = np.searchsorted(film.times_s, times_s - 1e-6)
+        paths.append([int(ident), list(zip(index.tolist(), across.tolist(), down.tolist(), strict=True))])
+        way_m, passed_s = float(np.hypot(np.diff(x), np.diff(y)).sum()), float(times_s[-1] - times_s[0])
+        speed = f"{way_m / passed_s:.3g}" if passed_s > 0 else "–"
+        table.append([str(ident), str(len(at)), f"{times_s[0]:.2f}", f"{times_s[-1]:.2f}", speed])
+    data = {
+        "times_s": film.times_s,
+        "tracks": paths,
+        "shape": (north - south) / (east - west),
+        "pictures": [base64.b64encode(one).decode() for one in film.pictures],
+    }
+    page = render_page(
+        "frames.html.j2", scripts=("theme.js", "frames.js"), title=title, counts=counts,
+        last=max(frames - 1, 0), columns=TRACK_COLUMNS, rows=table, data=script_json(data),
+    )  # fmt: skip
+    write_text(path, page)
