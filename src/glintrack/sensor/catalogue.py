@@ -41,11 +41,9 @@ def read_catalogue(kind: Kind) -> Mapping[str, CatalogueItem]:
         sources = {figure: pages[page] for page, figures in read.items() for figure in figures}
         if "snr_max_db" in row:
             electrons = _electrons(row.pop("snr_max_db"), row.pop("dynamic_range_db"))
-            sources |= dict.fromkeys(electrons, sources.pop("snr_max_db", "assumed"))
-            sources.pop("dynamic_range_db", None)
-            row |= electrons
+            row, sources = row | electrons, dict.fromkeys(electrons, sources.get("snr_max_db")) | sources
         row = assumed | row
-        items[name] = CatalogueItem(name, title, row, dict.fromkeys(row, "assumed") | sources)
+        items[name] = CatalogueItem(name, title, row, {key: sources.get(key) or "assumed" for key in row})
     return items
 
 
