@@ -104,7 +104,7 @@ def test_the_first_screen_has_headline_loss_budget_facts_north_sun_and_scale(fol
     assert "<strong>45</strong> of 100 moving vehicles in the window are tracked" in first
     assert "stand close together: 100 are left before this stage, 50 after it." in first
     assert "per 100 moving vehicles in the window" in first and "visible vehicles" not in first
-    labels = re.findall(r'<th scope="row">([^<]*)<.*?<span style="width: (.*?)%">', first)
+    labels = re.findall(r'<th scope="row">([^<]*?) ?<.*?<span style="width: (.*?)%">', first)
     assert labels == [("moving in the scored area", "100.0"), ("background known", "50.0")]
     assert first.count("largest lasting loss") == 1
     told = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first.partition('id="facts"')[2]))
