@@ -171,7 +171,7 @@ def test_at_first_sight_only_what_stands_apart_is_confirmed():
     place = np.array([[3.9, 0.0], [4.1, 0.0], [50.0, 0.0]])
     found = track.Detections(
         place, np.repeat(np.eye(2)[None], 3, 0), np.ones(3), np.ones(3),
-        log_likelihood_ratio=np.array([5.0, 5.0, 3.0]),
+        log_likelihood_ratio=np.array([7.0, 7.0, 3.0]),
     )  # fmt: skip
     features = np.full((3, BINS), np.nan)
     new = initiate(design, found, features, np.arange(3), 7, no_flow(), apart_from=known)
