@@ -237,7 +237,7 @@ def test_a_bad_case_is_simulated_with_force_only(monkeypatch, three_cars, case_f
     error = capsys.readouterr().err
     assert "must have no bad quantity; got 1: the stare point is" in error and "--force" in error
     assert not (tmp_path / "out").exists() and error.count("\n") == 1
-    assert program(monkeypatch, "case", "check", case_file, "--json") == 0
+    assert program(monkeypatch, "case", "check", case_file, "--json") == 1
     records = json.loads(capsys.readouterr().out)
     assert [one["name"] for one in records if one["answer"] == "bad"] == ["beyond_window"]
     monkeypatch.setattr("glintrack.cli.run.is_complete", lambda: True)
