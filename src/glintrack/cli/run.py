@@ -146,7 +146,7 @@ def run(
                 doing = "scoring, writing …" if done else tracked
                 pace.add(epoch.index, time.perf_counter() - compilation.seconds)
                 left_s = pace.left_s()
-                left = "" if left_s is None else f"{format_duration(left_s)} left"
+                left = "" if left_s is None or done else f"{format_duration(left_s)} left"
                 progress.update(task, advance=1, description=f"{design.name}: {doing}", left=left)
 
         began = time.perf_counter()
