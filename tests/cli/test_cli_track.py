@@ -469,3 +469,18 @@ def test_wrong_times_of_frames_are_one_sentence(text, complaint, tmp_path, monke
     extra = ("-o", tmp_path / "out", "--times", tmp_path / "t.csv")
     code, _, said = run(monkeypatch, capsys, "track", tmp_path / "frames", *extra)
     assert code == 2 and complaint in said and not (tmp_path / "out").exists()
+
+
+def test_motchallenge_text_keeps_its_frames_and_pixels(tmp_path, monkeypatch, capsys):
+    """A car that is not seen in frame 9: its track is in the frames and pixels of the detections."""
+    lines = [f"{k},-1,{20 + 8 * k},40,9,5,0.9,-1,-1,-1" for k in range(1, 31) if k != 9]
+    (tmp_path / "det.txt").write_text("\n".join(lines))
+    frames = ("--rate", 2, "--geotransform", 1000, 2000, 0.5)
+    code, said, _ = run(
+        monkeypatch, capsys, "track", tmp_path / "det.txt", "-o", tmp_path / "o", *frames, "--sigma-m", 0.3
+    )
+    assert code == 0 and "29 boxes" in said and "over 30 frames" in said
+    frame, _, left, top, wide, high = np.loadtxt(tmp_path / "o" / "tracks_mot.txt", delimiter=",").T[:6]
+    assert frame.max() == 30 and len(frame) > 20
+    np.testing.assert_allclose(left + wide / 2, 20 + 8 * frame + 4.5, atol=1.0)
+    np.testing.assert_allclose(top + high / 2, 42.5, atol=1.0)

@@ -332,7 +332,7 @@ def test_boxes_that_do_not_count_are_left_out(tmp_path):
         ("1,1,5,5,9,9,1,-1,-1,-1\n", {"rate_hz": 0.001}, "`rate` must be 0.1 to 1,000 Hz"),
         ("1,1,5,5,9,9,1,-1,-1,-1\n2,1,7,5,9,9,1,-1,-1,-1\n", {"rate_hz": 5}, "`geotransform` must be given"),
         ("1,1,5,5,9,9,1,4,0,0\n2,1,7,5,9,9,1,4,1,1\n", {"rate_hz": 5}, "`geotransform` must be given"),
-        ("0,1,5,5,9,9,1\n", {"rate_hz": 5, "grid": GRID}, "frame from 1"),
+        ("0,1,5,5,9,9,1\n", {"rate_hz": 5, "grid": GRID}, "frame of 1 to 1,000,000"),
         ("1,1,5,5,0,9,1\n", {"rate_hz": 5, "grid": GRID}, "width and height above 0"),
         ("1,1,5,5\n", {"rate_hz": 5, "grid": GRID}, "must be MOTChallenge text"),
         ("frame,id\n1,2\n", {"rate_hz": 5, "grid": GRID}, "must be MOTChallenge text of numbers"),

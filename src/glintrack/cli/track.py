@@ -87,12 +87,16 @@ def track_files(
         tracker = strict_design(tracker) if strict else tracker
         with show_wait(console, "tracking"):
             tracked = track_detections(table, tracker, area)
-        box = " ".join(f"{v:.0f}" for v in tracked.area_m)
-        count = len(table.time_s)
+        box, count = " ".join(f"{v:.0f}" for v in tracked.area_m), len(table.time_s)
         gone, notes = {f"outside {box} m": tracked.outside}, _detection_notes(table, tracked)
         report_reading(source, "detections", count, count - tracked.outside, gone, notes)
-        rows, times_s = tracked.rows, np.unique(table.time_s).tolist()
-        place = TrackGeoreference(crs, area_m=tracked.area_m, times_s=times_s)
+        rows, times_s = tracked.rows, np.unique(table.time_s)
+        west, south, east, north = tracked.area_m
+        if rate_hz is not None:  # frames without detections count too
+            times_s = np.arange(round(times_s.max(initial=0.0) * rate_hz) + 1) / rate_hz
+        at = grid or Geotransform(west, north, 1.0)
+        window = (at.west_m, south, east, at.north_m)
+        place = TrackGeoreference(crs, area_m=window, cell_m=at.gsd_m, times_s=times_s.tolist())
         if froc_truth is not None:
             swept = froc(table, read_truth(froc_truth, rate_hz, grid), FROC_SCORES, tracker, area)
     else:

@@ -187,18 +187,13 @@ def _read_rows(
             f"`{id_column}` must move by at most {MAX_SPEED_M_S:g} m/s; got {ids[fast][0]:g} faster at "
             f"{time_s[fast][0]:g} s in {path}."
         )
-    known = {"time_s", id_column, *POSITION, *_SPEEDS, *(("visible_fraction", "inside") * (name == "truth"))}
+    more = ("visible_fraction", "inside") if name == "truth" else ()
+    known = {"time_s", id_column, *POSITION, *_SPEEDS, *more}
     notes = [f"{len(np.unique(ids)):,} ids at {len(np.unique(time_s)):,} times"]
     notes += [f"not used: {plain(', '.join(rest), _MAX_TEXT)}" for rest in [sorted({*table} - known)] if rest]
     report_reading(path, "rows", len(table), len(ids), notes=notes)
     columns = {"time_s": time_s, id_column: ids.astype(np.int64)}
-    columns |= dict(
-        zip(
-            (*POSITION, *_SPEEDS),
-            (*position.T, *velocity.T),
-            strict=True,
-        )
-    )
+    columns |= dict(zip((*POSITION, *_SPEEDS), (*position.T, *velocity.T), strict=True))
     return xr.Dataset({key: ("row", column) for key, column in columns.items()}), table
 
 

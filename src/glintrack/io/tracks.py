@@ -45,6 +45,7 @@ TRUTH_COLUMNS = (
 )  # fmt: skip
 BOX_M = 5.0  # side of a track's box in MOTChallenge, about the length of a car
 _VEHICLES = _CAR, _MOTORCYCLE = 3, 5  # classes of MOTChallenge
+_MAX_FRAME = 1_000_000
 _PIXEL_ERROR, _METRE_ERROR = 0.02, 1e-3  # of rounded boxes and positions
 
 
@@ -128,11 +129,12 @@ def read_mot(path: Path, name: str, rate_hz: float | None, grid: Geotransform | 
     except ValueError as error:
         raise ValueError(f"`{name}` must be MOTChallenge text of numbers; got {path}: {error}") from error
     columns, boxes = values.shape[1], values[:, :6]
-    fits = (boxes[:, 0] >= 1) & (boxes[:, 0] % 1 == 0) & (boxes[:, 4:] > 0).all(axis=1)
+    is_frame = (boxes[:, 0] >= 1) & (boxes[:, 0] <= _MAX_FRAME) & (boxes[:, 0] % 1 == 0)
+    fits = is_frame & (boxes[:, 4:] > 0).all(axis=1)
     if columns < 6 or not (np.isfinite(boxes).all() and fits.all()):
         raise ValueError(
-            f"`{name}` must be MOTChallenge text: frame from 1, id, left, top, and width and height above 0; "
-            f"got others in {path}. Add 1 to frames that count from 0."
+            f"`{name}` must be MOTChallenge text: frame of 1 to {_MAX_FRAME:,}, id, left, top, and width and "
+            f"height above 0; got others in {path}. Add 1 to frames that count from 0."
         )
     if rate_hz is None:
         raise ValueError(f"`rate` must be given with frame numbers; got none for {path}. Give --rate HZ.")
