@@ -106,7 +106,7 @@ def test_the_first_screen_has_headline_loss_budget_facts_north_sun_and_scale(fol
     assert "per 100 moving vehicles in the window" in first and "visible vehicles" not in first
     labels = re.findall(r'<th scope="row">([^<]*?) ?<.*?<span style="width: (.*?)%">', first)
     assert labels == [("moving in the scored area", "100.0"), ("background known", "50.0")]
-    assert first.count("largest lasting loss") == 1
+    assert first.count("largest loss that no later stage recovers") == 1
     told = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first.partition('id="facts"')[2]))
     assert list(told) == ["case", "flight", "sun", "altitude", "off nadir", "an element sees"]
     assert told["case"] == "small" and told["sun"].endswith("azimuth 251°")

@@ -39,7 +39,7 @@ def test_the_number_and_the_sentences_have_one_denominator():
     assert (said.number, said.words) == ("33", "of 100 moving vehicles in the window are tracked")
     assert (
         said.tracked
-        == "Pan tracks 33, with 5 false tracks beside them. DoLP (degree of polarization) alone 13."
+        == "Pan tracks 33, with 5 false tracks per 100 vehicles. DoLP (degree of polarization) alone 13."
     )  # 6 to 120
     assert said.lost == "Detection: 59 are left before this stage, 35 after it."
     assert said.stage == "detector" and said.warning == ""

@@ -52,7 +52,8 @@ def budget_bars(result: Result) -> tuple[str, list[BudgetBar]]:
         labels = {stage: STAGE_LABELS.get(stage, stage.replace("_", " ")) for stage in stages}
         caption = (
             f"Loss budget of {CHANNEL_WORDS.get(name, name)}: of 100 moving vehicles, how many are left at "
-            f"each stage. On {budget_frames(result.tree)}: its last row can differ from the number above."
+            f"each stage. Measured on {budget_frames(result.tree)} only, so its last row can differ from the "
+            "headline."
         )
         answer = list(stages)[-1]
     else:

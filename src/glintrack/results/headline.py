@@ -48,14 +48,14 @@ def headline(result: Result) -> Headline | None:
     number, loss = per_hundred(result.scores[name]["completeness"]), largest_loss(budget)
     tracked = f"{describe_subject(name)} {number}"
     if movers > 0 and math.isfinite(false):
-        tracked += f", with {per_hundred(false / movers)} false tracks beside them"
+        tracked += f", with {per_hundred(false / movers)} false tracks per 100 vehicles"
     shares = [(k, float(of.get("completeness", math.nan))) for k, of in result.scores.items() if k != name]
     others = [f"{_MEANINGS.get(k, k)} alone {per_hundred(n)}" for k, n in shares if math.isfinite(n)]
     parts = [tracked, *([", ".join(others)] if others else [])]
     if loss is not None:
         remedy = find_remedy(loss.stage, result.case)
-        lost = f"{LOSSES[loss.stage]}: {per_hundred(loss.before)} are left before this stage"
-        lost += f", {per_hundred(loss.after)} after it."
+        before, after = per_hundred(loss.before), per_hundred(loss.after)
+        lost = f"{LOSSES[loss.stage]}: {before} are left before this stage, {after} after it."
         advice = _NO_REMEDY if remedy is None else f"{remedy.advice}. {remedy.evidence}"
     else:
         lost, advice = (_NO_LOSS, _NO_REMEDY) if len(budget) > 1 else (_NO_BUDGET, _MEASURE)

@@ -200,12 +200,13 @@ def view_facts(case: Case) -> dict[str, str]:
     """Flight, sun, altitude, off-nadir angle and ground sample distance of a case, by name."""
     flight, (across, along) = case.flight, ground_view(case)[0]
     elevation, azimuth = sun_angles_deg(case)
-    from_sun = f"{flight.azimuth_from_sun_deg:g}".replace("-", "−")
+    turn_deg = flight.azimuth_from_sun_deg
+    from_sun = f"{abs(turn_deg):g}° {'left' if turn_deg < 0 else 'right'} of the sun"
     return {
         "flight": f"{describe_frames(flight.frames)} at {flight.rate_hz:g} Hz",
         "sun": f"{elevation:.0f}° high, azimuth {azimuth:.0f}°",
         "altitude": f"{flight.altitude_m:.0f} m",
-        "off nadir": f"{flight.off_nadir_deg:g}°, {from_sun}° from the sun's azimuth",
+        "off nadir": f"{flight.off_nadir_deg:g}°, looking {from_sun}",
         "an element sees": f"{across:.2g} m × {along:.2g} m of ground",
     }
 
