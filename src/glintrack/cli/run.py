@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
 from glintrack.bounds import STAGE_LABELS, STAGES_NOTE
+from glintrack.case.area import fit_window
 from glintrack.case.check import bad_reasons
 from glintrack.case.design import Case
 from glintrack.case.fitted_range import tracker_notes
@@ -56,6 +57,7 @@ from glintrack.results.verdict import (
     select_channel,
     stage_shares,
 )
+from glintrack.scene.read.sumo import sumo_home
 
 app, warm_up_app = command_app(), command_app()
 
@@ -125,6 +127,8 @@ def run(
     console = open_console()
     for note in tracker_notes(design):
         console.print(f"warning: {note}")
+    if fit_window(design) is not design:
+        sumo_home()  # simulates the traffic of the larger window: say before any compilation if it is missing
     if not is_complete():
         _show_warm_up(console)
     areas: dict[float, Area] = {}
