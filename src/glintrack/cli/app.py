@@ -10,11 +10,9 @@ from typing import Annotated
 
 import typer
 import typer.core
-from pydantic import ValidationError
 from rich.console import Console
 
 from glintrack.cli.options import STYLE, open_console, option, print_readings
-from glintrack.core.designs import describe_value
 from glintrack.core.installation import VERSION
 from glintrack.core.numba_cache import set_cache_folder
 from glintrack.io.cache import cache_folder
@@ -152,10 +150,11 @@ def _describe(error: Exception) -> str:
         raise error
     context, option = getattr(error, "ctx", None), getattr(error, "param", None)
     said, fault = error.format_message(), error.__cause__  # pyright: ignore
-    if option is not None and isinstance(fault, ValidationError):
-        kind, unit = fault.errors()[0]["type"], _UNIT.search(option.help or "")
-        if kind != "value_error":  # a number
-            said = describe_value(fault.errors()[0], max(option.opts, key=len), unit[1] if unit else "")
+    if option is not None and hasattr(fault, "errors"):  # of pydantic, which typer has loaded
+        first, unit = fault.errors()[0], _UNIT.search(option.help or "")  # pyright: ignore
+        if first["type"] != "value_error":  # a number
+            designs = import_module("glintrack.core.designs")
+            said = designs.describe_value(first, max(option.opts, key=len), unit[1] if unit else "")
     hint = " separated by spaces" if re.search(r"requires \d arguments", said) else ""
     path = context.command_path if context is not None else "glintrack"
     return f"{plain(said).rstrip('.')}{hint} (see `{path} --help`)"
