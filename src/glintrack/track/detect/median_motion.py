@@ -16,7 +16,7 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import maximum_filter
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from glintrack.core.arrays import Array
 from glintrack.io.times import MAX_STEP_S
@@ -33,6 +33,7 @@ SPACING_S = 0.35  # between stored frames: at 25 Hz nothing moves from one to th
 FOOTPRINT_M = (4.6, 2.6)
 CAP = 6.0  # standard deviations: a glint counts as much as a car
 KERNEL_PX = 2  # half width of the cubic kernel
+AREA_PX = 3  # side of the least area of no data
 BLANK_PX = 7  # a square of zeros of this side is no data
 SIGMA_PX = 0.3  # standard deviation of a position, added to the design's
 DECISION_RATIO = 2.0  # at which a single detection is as often right as wrong, and its contrast 1
@@ -162,13 +163,18 @@ def _register(
 
 
 def _mask_blanks(values: Float[Array, "y x"]) -> Float[Array, "y x"]:
-    """Set squares of zeros, which are missing data, to NaN, and all pixels whose resampling needs those."""
+    """Set squares of zeros, which are missing data, and pixels resampled from areas of no data to NaN.
+
+    Single missing pixels, such as those of a dark mirror, are no area: they spoil no neighbour.
+    """
     zero, missing = values == 0, np.isnan(values)
     if zero.any():
         missing |= zero & maximum_filter(maximum_filter(~zero, BLANK_PX) == 0, BLANK_PX)
     if not missing.any():
         return values
-    return np.where(maximum_filter(missing, 2 * KERNEL_PX + 1), np.float32(np.nan), values)
+    areas = minimum_filter(missing, AREA_PX)
+    beside = maximum_filter(areas, AREA_PX + 2 * KERNEL_PX)
+    return np.where(missing | beside, np.float32(np.nan), values)
 
 
 def _stack_window(past: tuple[PlacedFrame, ...], name: str) -> Float[Array, "frame y x"]:
