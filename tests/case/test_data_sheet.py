@@ -51,6 +51,13 @@ def test_a_camera_is_sharp_and_well_exposed(polarizers):
     assert build_sensor(small, case.atmosphere.wavelength_um).design.has_stokes == (polarizers != "none")
 
 
+def test_a_slow_camera_ends_with_the_recorded_traffic():
+    _, case = case_of(rate_hz=0.2)
+    assert (
+        (case.flight.frames - 1) / case.flight.rate_hz <= 120 < case.flight.frames / case.flight.rate_hz + 5
+    )
+
+
 def test_the_paper_from_its_figures_is_the_default():
     """880 × 560 elements of 17 µm behind 68 mm: the values of the default, but for the silicon's curve."""
     _, case = case_of(

@@ -10,6 +10,7 @@ from glintrack.case.design import Case
 from glintrack.case.quantities import ground_view
 from glintrack.core.designs import validate_design
 from glintrack.core.schema import MIN_SCORED_S
+from glintrack.scene.design import SHIPPED_DURATION_S
 from glintrack.sensor.catalogue import find_item
 from glintrack.sensor.derivation import DEFAULT_F_NUMBER, derived_values
 
@@ -61,6 +62,7 @@ def case_text(
     rate_hz = flight["rate_hz"]
     least = math.ceil(2 * MIN_SCORED_S * rate_hz) + 1
     frames = max(_MIN_FRAMES, min(round(_FLIGHT_S * rate_hz), _MAX_FRAMES), least)
+    frames = max(min(frames, int(SHIPPED_DURATION_S * rate_hz) + 1), 1)  # as long as there is traffic
     path: Entries = {key: (value, "") for key, value in flight.items()}
     path["frames"] = frames, f"{frames / rate_hz:.3g} s"
     sensor = _array_entries(polarizers, detector, rate_hz)
