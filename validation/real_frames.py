@@ -106,22 +106,22 @@ def score(scene: Sequence, rows: pd.DataFrame, area: str) -> str:
         mine, labels = rows[rows["frame"] == k], scene.labels[scene.labels["frame"] == k]
         places, there = (of[["east_m", "north_m"]].to_numpy(float) for of in (mine, labels))
         distance = np.hypot(*(places[:, None] - there[None]).transpose(2, 0, 1))
-        wanted, near = labels["asked"].to_numpy(bool), distance <= NEAR_M
-        cost = np.where(near[:, wanted], distance[:, wanted], 1e3)
+        is_asked, is_near = labels["asked"].to_numpy(bool), distance <= NEAR_M
+        cost = np.where(is_near[:, is_asked], distance[:, is_asked], 1e3)
         i, j = linear_sum_assignment(cost)
         i, j = i[cost[i, j] < 1e3], j[cost[i, j] < 1e3]
-        lone = ~near[:, ~wanted].any(axis=1)
-        lone[i] = False
-        here = scene.inside(area, there[wanted])
-        right += here[j].sum()
-        asked += here.sum()
-        wrong += scene.inside(area, places[lone]).sum()
+        is_alone = ~is_near[:, ~is_asked].any(axis=1)
+        is_alone[i] = False
+        is_inside = scene.inside(area, there[is_asked])
+        right += is_inside[j].sum()
+        asked += is_inside.sum()
+        wrong += scene.inside(area, places[is_alone]).sum()
         ground_km2 += (scene.areas[area] & np.isfinite(scene.frames[k])).sum() * scene.gsd_m**2 * 1e-6
-        vehicles, idents = labels["vehicle_id"].to_numpy()[wanted][j], mine["track_id"].to_numpy()[i]
-        pairs += zip(vehicles[here[j]], idents[here[j]], strict=True)
+        vehicles, track_ids = labels["vehicle_id"].to_numpy()[is_asked][j], mine["track_id"].to_numpy()[i]
+        pairs += zip(vehicles[is_inside[j]], track_ids[is_inside[j]], strict=True)
     seconds = max(right, 1) * float(np.ptp(scene.times_s)) / (len(scene.times_s) - 1)
-    ways = pd.DataFrame(pairs, columns=["vehicle", "track"]).groupby("vehicle")["track"]
-    switches = sum(int((np.diff(way) != 0).sum()) for _, way in ways)
+    paths = pd.DataFrame(pairs, columns=["vehicle", "track"]).groupby("vehicle")["track"]
+    switches = sum(int((np.diff(path) != 0).sum()) for _, path in paths)
     found = f"({right} right, {wrong} false, {asked - right} missed), {wrong / ground_km2:.1f} false/km²"
     custody = f"{switches} switches ({switches * CUSTODY_S / seconds:.2f})"
     return f"F1 {2 * right / max(right + wrong + asked, 1):.2f} {found}, {custody}"

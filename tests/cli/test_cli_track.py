@@ -459,7 +459,7 @@ def test_frames_of_a_moving_camera_become_tracks_with_one_command(tmp_path, monk
     [
         ("time_s\n0\n1\n", "`times` must have one row for each frame; got 2 for more frames"),
         ("time_s\n0\n1\n2\n3\n4\n", "`times` must have one row for each frame; got 5 for 4 frames"),
-        ("time_s\n0\n2\n1\n3\n", "`times` must be numbers that rise; got 1 in row 3"),
+        ("time_s\n0\n2\n1\n3\n", "`times` must be numbers that rise; got 1 after 2 s"),
         ("t\n0\n2\n1\n3\n", "`times` must have a column time_s; got none"),
     ],
 )

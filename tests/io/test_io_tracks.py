@@ -13,6 +13,7 @@ import pytest
 import shapely
 import xarray as xr
 
+from glintrack.core.records import Extent
 from glintrack.io.detections import read_detections, read_tracks, read_truth
 from glintrack.io.orthoimages import Geotransform
 from glintrack.io.readings import collect_readings
@@ -254,7 +255,7 @@ def test_mot_tracks_lie_on_the_truths_boxes(tmp_path):
     columns |= {"length_m": [BOX_M] * 2, "width_m": [BOX_M] * 2, "visible_fraction": [1.0, 1.0]}
     columns |= {"east_speed_m_s": [0.0, 0.0], "north_speed_m_s": [0.0, 0.0]}
     rows = rows_of(**columns)
-    place = TrackGeoreference(area_m=AREA_M, cell_m=0.5, times_s=(0.0, 0.5, 1.0, 1.5))
+    place = TrackGeoreference(area_m=Extent(*AREA_M), cell_m=0.5, times_s=(0.0, 0.5, 1.0, 1.5))
     write_tables(tmp_path, truth_table(rows), "truth", place)
     write_tables(tmp_path, track_table(rows), "t", place)
     truth, tracks = mot_lines(tmp_path / "truth_mot.txt"), mot_lines(tmp_path / "t_mot.txt")

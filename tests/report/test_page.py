@@ -107,9 +107,9 @@ def test_the_first_screen_has_headline_loss_budget_facts_north_sun_and_scale(fol
     labels = re.findall(r'<th scope="row">([^<]*?) ?<.*?<span style="width: (.*?)%">', first)
     assert labels == [("moving in the scored area", "100.0"), ("background known", "50.0")]
     assert first.count("largest loss that no later stage recovers") == 1
-    told = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first.partition('id="facts"')[2]))
-    assert list(told) == ["case", "flight", "sun", "altitude", "off nadir", "an element sees"]
-    assert told["case"] == "small" and told["sun"].endswith("azimuth 251°")
+    facts = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first.partition('id="facts"')[2]))
+    assert list(facts) == ["case", "flight", "sun", "altitude", "off nadir", "an element sees"]
+    assert facts["case"] == "small" and facts["sun"].endswith("azimuth 251°")
     assert ">N</text>" in first and ">sun 251°</text>" in first and ">20 m</text>" in first
     assert "The window, 120 m × 80 m, north up" in first and "data:image/webp" in first
 

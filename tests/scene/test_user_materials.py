@@ -124,3 +124,12 @@ def test_a_panel_beyond_the_window_is_refused():
     panel = {"material": "panel_50", "east_m": -9225.0, "north_m": 135.0}
     with pytest.raises(ValueError, match=r"`scene.panels.0` must lie in the window, .*got -9225 and 135 m"):
         build_scene(SceneDesign(panels=[panel]))
+
+
+def test_a_material_varies_toward_a_known_one(tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(
+        '[mine]\nconstant = 0.2\nrefractive_index = 1.5\nroughness = 0.5\nspecular_weight = 0.1\ntoward = "x"\n'
+    )
+    with pytest.raises(ValueError, match="`mine` must have a material as its `toward`; got 'x'"):
+        load_user_materials(path)

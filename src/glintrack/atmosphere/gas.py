@@ -17,9 +17,9 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 
 from glintrack.core.arrays import Array
+from glintrack.core.schema import EARTH_RADIUS_M
 from glintrack.core.spectral import resample
 
-EARTH_RADIUS_M = 6_371_000.0
 LEVELS_M: tuple[float, ...] = (
     *range(0, 3001, 250),
     3500,

@@ -16,8 +16,8 @@ import sasktran2 as sk
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from glintrack.atmosphere.gas import EARTH_RADIUS_M
 from glintrack.core.arrays import Array
+from glintrack.core.schema import EARTH_RADIUS_M
 
 NEAR_VERTICAL = 0.99999
 """Largest |cos zenith| passed to the solver: at 1 its exact single scatter has wrong Q, U (0.26° off)."""

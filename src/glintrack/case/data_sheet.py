@@ -61,8 +61,8 @@ def case_text(
     """
     rate_hz = flight["rate_hz"]
     least = math.ceil(2 * MIN_SCORED_S * rate_hz) + 1
-    frames = max(_MIN_FRAMES, min(round(_FLIGHT_S * rate_hz), _MAX_FRAMES), least)
-    frames = max(min(frames, int(SHIPPED_DURATION_S * rate_hz) + 1), 1)  # as long as there is traffic
+    most = int(SHIPPED_DURATION_S * rate_hz) + 1  # as long as there is traffic
+    frames = min(max(_MIN_FRAMES, min(round(_FLIGHT_S * rate_hz), _MAX_FRAMES), least), most)
     path: Entries = {key: (value, "") for key, value in flight.items()}
     path["frames"] = frames, f"{frames / rate_hz:.3g} s"
     sensor = _array_entries(polarizers, detector, rate_hz)

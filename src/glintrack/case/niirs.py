@@ -121,7 +121,7 @@ def describe_niirs(case: Case) -> str:
     found = image_quality(case)
     if found is None:
         return "NIIRS: not known without light"
-    rating = f"{found.niirs:.1f}" if found.niirs >= 0 else "below 0"
+    rating = "below 0" if found.niirs < 0 else "above 9" if found.niirs > 9 else f"{found.niirs:.1f}"
     text = (
         f"NIIRS {rating} (GIQE-5: ground sample distance {format_number(found.gsd_m)} m, relative "
         f"edge response {found.edge_response:.2f}, signal-to-noise ratio {found.snr:.0f} of 15 % to 7 % "

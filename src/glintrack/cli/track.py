@@ -13,6 +13,7 @@ from rich.console import Console
 
 from glintrack.case.design import over_like
 from glintrack.cli.options import Area, Bar, Corner, argument, command_app, open_console, option, show_wait
+from glintrack.core.records import Extent
 from glintrack.io import atomic
 from glintrack.io.crs import metric_crs, warn_off_map
 from glintrack.io.detections import DetectionTable, read_detections, read_truth
@@ -95,7 +96,7 @@ def track_files(
         if rate_hz is not None:  # frames without detections count too
             times_s = np.arange(round(times_s.max(initial=0.0) * rate_hz) + 1) / rate_hz
         at = grid or Geotransform(west, north, 1.0)
-        window = (at.west_m, south, east, at.north_m)
+        window = Extent(at.west_m, south, east, at.north_m)
         place = TrackGeoreference(crs, area_m=window, cell_m=at.gsd_m, times_s=times_s.tolist())
         if froc_truth is not None:
             swept = froc(table, read_truth(froc_truth, rate_hz, grid), FROC_SCORES, tracker, area)
@@ -153,7 +154,7 @@ def _track_frames(
         x, y = image["x"].values, image["y"].values
         cell = float(abs(x[1] - x[0])) if len(x) > 1 else 1.0
         edges_m = x[0] - cell / 2, y[-1] - cell / 2, x[-1] + cell / 2, y[0] + cell / 2
-        place = replace(place, area_m=tuple(map(float, edges_m)), cell_m=cell)
+        place = replace(place, area_m=Extent(*map(float, edges_m)), cell_m=cell)
     return as_rows(reports), place
 
 

@@ -12,6 +12,7 @@ COUNT = "count"  # of an uncalibrated camera
 CHANNEL_WORDS = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
 TRACK_STATUSES = ("measured", "coasted", "tentative")  # tentative: reported later, once confirmed
 IRRADIANCE = "W m-2 um-1"
+EARTH_RADIUS_M = 6_371_000.0  # mean
 MOVING_SPEED_M_S = 1.0  # a vehicle of the truth at least this fast is moving
 MIN_SCORED_S = 5.0  # duration from which scores are meaningful: the background is learnt first
 

@@ -7,10 +7,11 @@ from typing import Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from glintrack.core.designs import Design
+from glintrack.core.schema import EARTH_RADIUS_M
 from glintrack.io.untrusted import resolve_path
 
 MAX_ALTITUDE_M = 20_000.0
-_EARTH_GM, _EARTH_RADIUS_M = 3.986004e14, 6.371e6  # m³ s⁻² (IERS 2010), and the mean radius
+_EARTH_GM = 3.986004e14  # m³ s⁻² (IERS 2010)
 
 
 class FlightDesign(Design):
@@ -62,8 +63,8 @@ class FlightDesign(Design):
     def _refuse_orbits(cls, value: Any) -> Any:
         """Say what to do about an altitude that only satellites have."""
         if isinstance(value, (int, float)) and MAX_ALTITUDE_M < value < 1e8:
-            scale, radius_m = 10_000 / value, _EARTH_RADIUS_M + value
-            ground_m_s = math.sqrt(_EARTH_GM / radius_m) * _EARTH_RADIUS_M / radius_m
+            scale, radius_m = 10_000 / value, EARTH_RADIUS_M + value
+            ground_m_s = math.sqrt(_EARTH_GM / radius_m) * EARTH_RADIUS_M / radius_m
             raise ValueError(
                 f"`flight.altitude_m` must be at most {MAX_ALTITUDE_M:,.0f} m; got {value:,.0f} m. "
                 "Orbits are outside the model's range. To approximate a satellite with the same sampling and "

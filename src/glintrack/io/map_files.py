@@ -24,10 +24,12 @@ from shapely.geometry import mapping
 from shapely.geometry.base import BaseGeometry
 
 from glintrack.core.arrays import Array
+from glintrack.core.records import Extent
 from glintrack.io.crs import longitude_latitude, metric_crs
 from glintrack.io.tables import parquet_bytes
 
 UNIX_TIME_S = 1e9  # seconds from which times without a date count from 1970: September 2001
+_NO_AREA = Extent(0.0, 0.0, 0.0, 0.0)
 _UNIX_ZERO = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 _NO_DATE = datetime.datetime(2000, 1, 1, tzinfo=datetime.UTC)  # of CZML, which needs one
 _DECIMALS_DEG = 8  # a millimetre
@@ -59,7 +61,7 @@ class TrackGeoreference:
 
     crs: str | None = None
     origin_m: tuple[float, float] = (0.0, 0.0)
-    area_m: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    area_m: Extent = _NO_AREA
     cell_m: float = 1.0
     times_s: Sequence[float] = ()
     time_zero: datetime.datetime | None = None

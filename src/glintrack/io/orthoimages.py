@@ -11,7 +11,6 @@ from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 
 from glintrack.core.arrays import Array
@@ -21,7 +20,7 @@ from glintrack.io.crs import longitude_latitude, metric_crs
 from glintrack.io.read_raster import open_bands, read_raster
 from glintrack.io.readings import report_reading
 from glintrack.io.stacks import open_stack
-from glintrack.io.tables import read_csv
+from glintrack.io.tables import read_csv, read_numbers
 from glintrack.io.times import check_rate, check_steps
 from glintrack.io.untrusted import MAX_CELL_M, MAX_CELLS, MAX_COORDINATE_M, check_file, natural_order
 
@@ -138,14 +137,13 @@ def read_frame_times(path: Path) -> list[float]:
     table = read_csv(path, "times", only=lambda name: name == "time_s")
     if "time_s" not in table:
         raise ValueError(f"`times` must have a column time_s; got none in {path}.")
-    times = np.asarray(pd.to_numeric(table["time_s"], errors="coerce"), float)
-    wrong = np.flatnonzero(~np.isfinite(times) | np.r_[False, ~(np.diff(times) > 0)])
-    if len(wrong):
-        row = int(wrong[0])
-        got = f"{table['time_s'].iloc[row]} in row {row + 1} of {path}"
+    times = read_numbers(table, path, ("time_s",))[:, 0]
+    falls = np.flatnonzero(~(np.diff(times) > 0))
+    if len(falls):
+        got = f"{times[falls[0] + 1]:g} after {times[falls[0]]:g} s in {path}"
         raise ValueError(f"`times` must be numbers that rise; got {got}.")
     check_steps(times, "time_s", path)
-    return [float(time_s) for time_s in times]
+    return times.tolist()
 
 
 def check_grid(grid: Geotransform, what: str) -> None:

@@ -201,15 +201,12 @@ def warp_frame(image: Float[Array, "y x"], onto: Homography, shape: tuple[int, i
     return np.where(inside > 0, out, np.float32(np.nan))
 
 
-def _stretch(image: Array, low: float, high: float) -> UInt8[Array, "y x"]:
-    return np.clip(255 * (image - low) / max(high - low, 1e-12), 0, 255).astype(np.uint8)
-
-
 def _to_bytes(image: Float[Array, "y x"]) -> UInt8[Array, "y x"]:
     """Stretch a frame to 8 bits; missing data become 0."""
     known = image[np.isfinite(image)]
     low, high = np.quantile(known, (0.005, 0.995)) if len(known) else (0.0, 1.0)
-    return _stretch(np.nan_to_num(image, nan=low), low, high)
+    stretched = 255 * (np.nan_to_num(image, nan=low) - low) / max(high - low, 1e-12)
+    return np.clip(stretched, 0, 255).astype(np.uint8)
 
 
 def _opencv() -> ModuleType:

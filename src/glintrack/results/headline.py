@@ -17,7 +17,7 @@ from glintrack.results.verdict import (
 
 _MEANINGS = {"pan": "pan (intensity)", "dolp": "DoLP (degree of polarization)", "all": "all elements"}
 _NO_LOSS = "Nowhere: every stage keeps all vehicles."
-_NO_REMEDY = "No recorded study says for this design. Compare two designs with `glintrack study`."
+_NO_REMEDY = "No recorded study applies to this design. Compare two designs with `glintrack study`."
 _NO_BUDGET = "Not known, because the loss budget was not measured."
 _MEASURE = (
     "Measure the loss budget: `glintrack bound case.toml`, in the folder of this result, prints it. A run "

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from glintrack.atmosphere import solve_tables
 from glintrack.case.design import Case
+from glintrack.core.records import Extent
 from glintrack.core.schema import CHANNEL_WORDS
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
 from glintrack.io.atomic import write_bytes, write_text
@@ -121,7 +122,7 @@ def _georeference(case: Case, tree: xr.DataTree, recorder: Recorder) -> TrackGeo
     return TrackGeoreference(
         crs=city.crs,
         origin_m=recorder.origin_m,
-        area_m=city.extent_m,
+        area_m=Extent(*city.extent_m),
         cell_m=case.ortho.gsd_m,
         times_s=times_s,
         time_zero=case.atmosphere.utc,

@@ -162,6 +162,10 @@ def load_user_materials(
             raise ValueError(f"`{name}` must be a material: {reason}") from error
     if not designs:
         return library, mesh
+    known = {*library["material"].values, *designs}
+    for name, design in designs.items():
+        if design.toward is not None and design.toward not in known:
+            raise ValueError(f"`{name}` must have a material as its `toward`; got {design.toward!r}.")
     own = _dataset(designs, path.parent, polarized_bases, variation)
     both = xr.concat([library, own], dim="material", combine_attrs="override")
     return schema.check(both, "materials"), mesh

@@ -21,8 +21,6 @@ from glintrack.track.calibration import read_calibration
 from glintrack.track.detect.footprint import peak_places, peaks
 
 APART_M = 3.0  # of detections: cars in a queue stand 6 m apart
-SHADOW_M = 6.0  # from a vehicle to the middle of its shadow, at most
-SHADOW_SPEED_M_S = 4.0  # greatest difference of the velocities of a vehicle and its shadow
 MIN_RATIO, MAX_RATIO = -0.5, 9.0  # of candidates
 MIN_SPEED_M_S = 1.5
 BEFORE = 3  # earlier frames that are searched
@@ -250,12 +248,14 @@ def select_candidates(found: StraightCandidates, most: int, gsd_m: float) -> Str
     if not len(found):
         return found
     selected = np.ones(len(found), bool)
-    near = np.sort(KDTree(found.place).query_pairs(SHADOW_M / gsd_m, output_type="ndarray"), axis=1)
+    limits = read_calibration("median_motion").constants
+    pairs = KDTree(found.place).query_pairs(limits["shadow_m"] / gsd_m, output_type="ndarray")
+    near = np.sort(pairs, axis=1)
     apart_m, speed_m_s = (
         gsd_m * np.hypot(*(of[near[:, 0]] - of[near[:, 1]]).T) for of in (found.place, found.velocity)
     )
     other = found.bright[near[:, 0]] != found.bright[near[:, 1]]
-    shadow = other & (speed_m_s <= SHADOW_SPEED_M_S)
+    shadow = other & (speed_m_s <= limits["shadow_speed_m_s"])
     place, before, merged = found.place.copy(), found.before.copy(), np.zeros(len(found), bool)
     order = np.lexsort(near.T[::-1])
     for k in order[((apart_m <= APART_M) | other)[order]]:
