@@ -129,7 +129,8 @@ def test_a_panel_beyond_the_window_is_refused():
 def test_a_material_varies_toward_a_known_one(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(
-        '[mine]\nconstant = 0.2\nrefractive_index = 1.5\nroughness = 0.5\nspecular_weight = 0.1\ntoward = "x"\n'
+        "[mine]\nconstant = 0.2\nrefractive_index = 1.5\nroughness = 0.5\nspecular_weight = 0.1\n"
+        'toward = "x"\n'
     )
     with pytest.raises(ValueError, match="`mine` must have a material as its `toward`; got 'x'"):
         load_user_materials(path)
