@@ -10,8 +10,8 @@ and standard deviations. Masks and places are those of the present model: run it
 detector.
 
 ``python tools/calibrate.py existence`` simulates two cities and four other kinds of traffic
-(`EXISTENCE_FLIGHTS`), tracks them in each channel with the tracker of the packaged case, reporting all that
-is confirmed, and labels every track at every frame by the truth, as the scores do: right or false. A track
+(`EXISTENCE_FLIGHTS`), tracks them in each channel with the tracker of the packaged case, takes all that is
+confirmed, and labels every track at every frame by the truth, as the scores do: right or false. A track
 near a standing vehicle says nothing. A model of `existence.existence_features` is fitted to each channel,
 every flight weighing the same; then one of the features of `reporting.report_candidates`, 1.5 s later.
 
@@ -36,11 +36,12 @@ from glintrack.case.packaged import find_case
 from glintrack.io.toml import to_toml
 from glintrack.track import existence, reporting
 from glintrack.track.calibration import Calibration, LogisticModel, calibration_file, read_calibration
-from glintrack.track.design import EXISTENCE_INITIATION, DetectDesign
+from glintrack.track.design import DetectDesign
 from glintrack.track.detect.detections import Association
 from glintrack.track.detect.frame import grid_of
 from glintrack.track.detect.mosaic import MosaicDetector, SearchedMosaic
 from glintrack.track.detect.mosaic_peaks import FEATURES, MIN_RATIO
+from glintrack.track.initiation import select
 from tools.record_flight import Recording, record_flight
 
 CHANNELS = ("pan", "dolp", "all")
@@ -242,11 +243,8 @@ EXISTENCE_VALID = {
 }  # fmt: skip
 SETTLED_FRAMES = 4  # before it next to nothing is confirmed
 LAG_S = 1.5
-RULES = {f"initiation.{key}": value for key, value in EXISTENCE_INITIATION.items()}
 
-LabelledTracks = tuple[
-    np.ndarray, np.ndarray
-]  # features of tracks at frames, and 1 for right and 0 for false ones
+LabelledTracks = tuple[np.ndarray, np.ndarray]  # features, and 1 for right and 0 for false tracks
 
 
 @dataclass(frozen=True)
@@ -286,11 +284,14 @@ def detect_flight(recording: Recording, channel: str) -> Flight:
 
 def at_once(flight: Flight) -> LabelledTracks:
     """All that is followed, as it is known at each frame."""
-    states, parts = flight.states(RULES | {"reporting.method": "confirmation"}), []
-    for state, (_, _, _, truth) in zip(states, flight.found, strict=True):
-        features = existence.existence_features(state.targets, state.flow, state.time_s)
-        features = features[state.targets.confirmed]
-        parts.append(label_tracks(track.report(state), features, truth, flight.extent_m))
+    parts = []
+    for state, (time_s, _, _, truth) in zip(flight.states(), flight.found, strict=True):
+        primary = existence.primary_targets(state.duplicates, state.targets)
+        shown = state.targets.confirmed & (primary == np.arange(len(primary)))
+        features = existence.existence_features(state.targets, state.flow, time_s, primary)[shown]
+        every = select(existence.move_to_mean_position(state.targets, primary), shown)
+        tracks = reporting.tracks_to_dataset(time_s, every.id, every.mean, every.covariance, every.misses > 0)
+        parts.append(label_tracks(tracks, features, truth, flight.extent_m))
     return concatenate_tracks(parts[SETTLED_FRAMES:])
 
 

@@ -66,7 +66,7 @@ def test_neighbours_are_those_of_all_pairs():
     rng = np.random.default_rng(2)
     targets = followed(rng.uniform(0, 300, 40))
     targets = replace(targets, mean=targets.mean + rng.normal(0, 2, targets.mean.shape))
-    co_moving, any_near, count = existence._neighbours(targets)
+    co_moving, any_near, count = existence._neighbours(targets, np.arange(40))
     apart = np.hypot(*(targets.position[:, None] - targets.position).transpose(2, 0, 1))
     near = np.where(np.eye(40, dtype=bool) | (apart > NEIGHBOUR_M), 0.0, 1 - apart / NEIGHBOUR_M)
     speeds = targets.mean[:, None, 2:] - targets.mean[:, 2:]
@@ -91,10 +91,26 @@ def test_a_neighbour_in_a_queue_is_another_vehicle(channel):
 
 
 def test_two_tracks_of_a_queue_are_no_duplicates():
-    pair = followed([0.0, 3.0])
-    assert len(existence._find_pairs(pair)) == 1
-    queue = followed([0.0, 3.0, 12.0, 20.0, 30.0])
-    assert len(existence._find_pairs(queue)) == 0
+    assert pairs_of(followed([0.0, 3.0])) == [[0, 1]]
+    assert not pairs_of(followed([0.0, 3.0, 12.0, 20.0, 30.0]))
+
+
+def test_two_tracks_on_a_busy_lane_are_no_duplicates():
+    pair = placed([(0, 0), (0, 6)])
+    place, velocity = np.zeros((9, 2)), np.tile([0.0, 10.0], (9, 1))
+    for count, found in ((existence.PAIR_MAX_VOTES, 1), (9, 0)):
+        flow = replace(
+            no_flow(), place=place[:count], velocity=velocity[:count], time_s=-3.0 * np.ones(count)
+        )
+        assert len(existence.update_duplicates(existence.no_duplicates(), pair, flow, 0.0).pair) == found
+
+
+def test_a_vehicle_does_not_lower_its_own_odds_by_its_second_track():
+    targets = followed([0.0, 3.0])
+    apart = existence.group_log_odds("all", targets, np.array([0, 1]), no_flow(), 0.0)
+    together = existence.group_log_odds("all", targets, np.array([0, 0]), no_flow(), 0.0)
+    assert together[0] > apart[0]
+    assert together[0] == pytest.approx(log_odds("all", followed([0.0]))[0])
 
 
 def reported_of(channel, targets, candidate, primary, false_share):
@@ -205,19 +221,24 @@ def placed(place, velocity=(0.0, 10.0)):
     return replace(targets, mean=mean, mode_mean=mean[:, None])
 
 
+def paired(before, targets):
+    """Pairs after an epoch without votes."""
+    return existence.update_duplicates(before, targets, no_flow(), 0.0)
+
+
 def pairs_of(targets):
-    return existence.update_duplicates(existence.no_duplicates(), targets).pair.tolist()
+    return paired(existence.no_duplicates(), targets).pair.tolist()
 
 
 @pytest.mark.parametrize(
     ("apart", "together"),
     [
-        ((0.0, 7.9), True),
-        ((0.0, 8.1), False),
-        ((2.9, 7.0), True),
-        ((3.1, 7.0), False),
-        ((6.9, 3.9), True),
-        ((6.5, 4.1), False),
+        ((0.0, 6.9), True),
+        ((0.0, 7.1), False),
+        ((1.9, 6.5), True),
+        ((2.1, 6.5), False),
+        ((5.7, 3.9), True),
+        ((5.5, 4.1), False),
     ],
 )
 def test_one_vehicle_is_near_and_in_line_or_abreast(apart, together):
@@ -264,30 +285,30 @@ def test_pairs_are_those_of_all_pairs_however_the_scene_is_turned():
 
 
 def test_what_went_together_for_two_frames_stays_so_while_it_is_near():
-    together, apart = placed([(0, 0), (0, 7)]), placed([(0, 0), (0, 11)], [(0.0, 10.0), (0.0, 18.0)])
-    once = existence.update_duplicates(existence.no_duplicates(), together)
-    assert not len(existence.update_duplicates(once, apart).pair)
-    twice = existence.update_duplicates(once, together)
+    together, apart = placed([(0, 0), (0, 6.5)]), placed([(0, 0), (0, 11)], [(0.0, 10.0), (0.0, 18.0)])
+    once = paired(existence.no_duplicates(), together)
+    assert not len(paired(once, apart).pair)
+    twice = paired(once, together)
     assert twice.frames.tolist() == [2]
-    assert existence.update_duplicates(twice, apart).pair.tolist() == [[0, 1]]
-    assert not len(existence.update_duplicates(twice, placed([(0, 0), (0, 12.1)])).pair)
-    assert not len(existence.update_duplicates(twice, select(apart, np.array([1]))).pair)
-    assert not len(existence.update_duplicates(twice, select(apart, np.array([], int))).pair)
+    assert paired(twice, apart).pair.tolist() == [[0, 1]]
+    assert not len(paired(twice, placed([(0, 0), (0, 12.1)])).pair)
+    assert not len(paired(twice, select(apart, np.array([1]))).pair)
+    assert not len(paired(twice, select(apart, np.array([], int))).pair)
 
 
 def test_the_oldest_leads_and_stands_in_the_middle_and_the_rest_stay():
-    targets = placed([(0, 0), (0.1, 7.3), (100.7, 3.3), (0, -6)])
-    known = existence.update_duplicates(existence.no_duplicates(), targets)
+    targets = placed([(0, 0), (0.1, 6.3), (100.7, 3.3), (0, -6)])
+    known = paired(existence.no_duplicates(), targets)
     primary = existence.primary_targets(known, targets)
     assert primary.tolist() == [0, 0, 2, 0]
     moved = existence.move_to_mean_position(targets, primary)
-    np.testing.assert_allclose(moved.position[0], [0.1 / 3, 1.3 / 3])
+    np.testing.assert_allclose(moved.position[0], [0.1 / 3, 0.3 / 3])
     np.testing.assert_array_equal(moved.mean[1:], targets.mean[1:])
     np.testing.assert_array_equal(moved.mode_mean[:, 0], moved.mean)
     np.testing.assert_array_equal(moved.mean[:, 2:], targets.mean[:, 2:])
 
 
-@pytest.mark.parametrize(("gap_m", "vehicles"), [(7.0, 1), (15.0, 2)])
+@pytest.mark.parametrize(("gap_m", "vehicles"), [(6.0, 1), (15.0, 2)])
 def test_two_ends_are_one_track_and_two_vehicles_are_two(gap_m, vehicles):
     design = plain_tracker().replace({"query.policy": "none", "reporting.max_false_share": 0.5} | EXISTENCE)
     state, reported = track.start(design), []

@@ -32,13 +32,15 @@ QUEUE_M, QUEUE = 40.0, 4  # distance and number of the tracks of a queue
 _MAX_NEIGHBOURS = 24
 
 # Duplicates: chosen on quickstart 11 and 12 and braunschweig 11; three in four such pairs are one vehicle.
-PAIR_M, PAIR_SPEED_M_S, PAIR_MIN_SPEED_M_S = 8.0, 6.0, 6.0
-PAIR_ACROSS_M, PAIR_ALONG_M = 3.0, 4.0  # a pair in line is no farther across, one abreast no farther along
-PAIR_FRAMES, PAIR_END_M = 2, 12.0  # a pair found in so many frames ends beyond this distance
+PAIR_M, PAIR_SPEED_M_S, PAIR_MIN_SPEED_M_S = 7.0, 6.0, 6.0
+PAIR_ACROSS_M, PAIR_ALONG_M = 2.0, 4.0  # a pair in line is no farther across, one abreast no farther along
+PAIR_FRAMES, PAIR_END_M = (
+    4,
+    12.0,
+)  # a pair lasts so many frames at most after it was found, and ends beyond that
 PAIR_MAX_MISSES = 1
-PAIR_MAX_ALIKE = (
-    2  # tracks alike within `QUEUE_M`, the other of the pair included: more are a queue of vehicles
-)
+PAIR_MAX_ALIKE = 2  # tracks alike within `QUEUE_M`, with the other of the pair; more are a queue of vehicles
+PAIR_MAX_VOTES = 4  # other vehicles with that velocity on the line of both; more are lanes of vehicles
 
 # Beyond this distance from its predicted position half of the tracks found again have changed vehicles
 # (quickstart 11 and braunschweig 11).
@@ -63,7 +65,8 @@ def group_log_odds(
     flow, time_s
         Flow of traffic, and the epoch. [s]
     """
-    own = read_calibration("existence").models[channel].log_odds(existence_features(targets, flow, time_s))
+    features = existence_features(targets, flow, time_s, primary)
+    own = read_calibration("existence").models[channel].log_odds(features)
     odds = own.copy()
     np.maximum.at(odds, primary, own)
     return odds
@@ -91,8 +94,10 @@ def select_reported_tracks(
     return out
 
 
-def existence_features(targets: Targets, flow: Flow, time_s: float) -> Float[Array, "target feature"]:
-    """Features of the existence model, in the order of its calibration.
+def existence_features(
+    targets: Targets, flow: Flow, time_s: float, primary: Int[Array, "target"]
+) -> Float[Array, "target feature"]:
+    """Features of the existence model, in the order of its calibration; parameters as in `group_log_odds`.
 
     - frames since the last measurement;
     - recent mean likelihood ratio (`Targets.recent_ratio`), and its positive part;
@@ -109,7 +114,7 @@ def existence_features(targets: Targets, flow: Flow, time_s: float) -> Float[Arr
     travel_m = np.hypot(*(targets.position - targets.first_position).T)
     deficit_m_s = np.maximum(MIN_SPEED_M_S - travel_m / np.maximum(targets.age_s, 1.0), 0.0)
     age, recent_ratio = np.minimum(targets.age_s, MAX_AGE_S), targets.recent_ratio
-    co_moving, near, count = _neighbours(targets)
+    co_moving, near, count = _neighbours(targets, primary)
     queue = np.minimum(count / QUEUE, 1.0)
     slow = np.maximum(MIN_SPEED_M_S - speed, 0.0)
     votes = np.log1p(count_votes(flow, targets.position, targets.mean[:, 2:], time_s))
@@ -138,8 +143,8 @@ class Neighbours(NamedTuple):
     count: Float[Array, "target"]
 
 
-def _neighbours(targets: Targets) -> Neighbours:
-    """Neighbours of each target among the confirmed ones."""
+def _neighbours(targets: Targets, primary: Int[Array, "target"]) -> Neighbours:
+    """Neighbours of each target among the confirmed ones on other vehicles."""
     present = np.flatnonzero(targets.confirmed & (targets.misses <= 1))
     if len(present) == 0:
         return Neighbours(*np.zeros((3, len(targets))))
@@ -148,7 +153,7 @@ def _neighbours(targets: Targets) -> Neighbours:
     distance, which = tree.query(targets.position, k=nearest, distance_upper_bound=QUEUE_M)
     found = np.isfinite(distance)
     other = present[np.where(found, which, 0)]
-    found &= other != np.arange(len(targets))[:, None]
+    found &= primary[other] != primary[:, None]
     proximity = np.where(found, np.maximum(1 - distance / NEIGHBOUR_M, 0.0), 0.0)
     difference = targets.mean[other, 2:] - targets.mean[:, None, 2:]
     same = found & (np.hypot(difference[..., 0], difference[..., 1]) < SAME_SPEED_M_S)
@@ -166,7 +171,7 @@ class Duplicates:
     pair
         Ids, the older first; rows rise.
     frames
-        Number of frames in which each pair was found.
+        Frames in which each pair was found, less those in which it was not since, at most `PAIR_FRAMES`.
     """
 
     pair: Int[Array, "pair 2"]
@@ -178,8 +183,8 @@ def no_duplicates() -> Duplicates:
     return Duplicates(np.empty((0, 2), np.int64), np.empty(0, np.int64))
 
 
-def update_duplicates(before: Duplicates, targets: Targets) -> Duplicates:
-    """Update the pairs with an epoch: those found in it, and established ones that are still near.
+def update_duplicates(before: Duplicates, targets: Targets, flow: Flow, time_s: float) -> Duplicates:
+    """Update the pairs with an epoch: those found in it, and those mostly found in the last ones.
 
     Parameters
     ----------
@@ -187,17 +192,20 @@ def update_duplicates(before: Duplicates, targets: Targets) -> Duplicates:
         Pairs after the epoch before.
     targets
         Targets after this epoch.
+    flow, time_s
+        Flow of traffic, and the epoch. [s]
     """
-    found = targets.id[_find_pairs(targets)]
+    found = targets.id[_find_pairs(targets, flow, time_s)]
     pair, which = np.unique(np.concatenate([found, before.pair]), axis=0, return_inverse=True)
     which = which.reshape(-1)
-    frames = np.bincount(which, np.r_[np.ones(len(found)), before.frames], len(pair)).astype(np.int64)
-    now = np.bincount(which[: len(found)], minlength=len(pair)) > 0
+    change = np.r_[np.full(len(found), 2), before.frames - 1]  # one more if found, else one less
+    frames = np.minimum(np.bincount(which, change, len(pair)), PAIR_FRAMES).astype(np.int64)
+    frames[np.bincount(which[len(found) :], minlength=len(pair)) == 0] = 1
     row, found_rows = find_rows(targets.id, pair)
     alive, near = found_rows.all(axis=1), np.zeros(len(pair), bool)
     apart = targets.position[row[alive, 0]] - targets.position[row[alive, 1]]
     near[alive] = np.hypot(*apart.T) < PAIR_END_M
-    lasting = alive & (now | ((frames >= PAIR_FRAMES) & near))
+    lasting = alive & near & (frames > 0)
     return Duplicates(pair[lasting], frames[lasting])
 
 
@@ -207,8 +215,8 @@ def primary_targets(duplicates: Duplicates, targets: Targets) -> Int[Array, "tar
     row, found = find_rows(targets.id, duplicates.pair)
     row = row[found.all(axis=1)]
     for older, younger in row[np.lexsort((row[:, 0], row[:, 1]))]:
-        if of[older] == older and of[younger] == younger:
-            of[younger] = older
+        if of[younger] == younger:
+            of[younger] = of[older]
     return of
 
 
@@ -225,14 +233,14 @@ def move_to_mean_position(targets: Targets, primary: Int[Array, "target"]) -> Ta
     return replace(targets, mean=mean, mode_mean=mode_mean)
 
 
-def _find_pairs(targets: Targets) -> Int[Array, "pair 2"]:
+def _find_pairs(targets: Targets, flow: Flow, time_s: float) -> Int[Array, "pair 2"]:
     """Find pairs of confirmed targets that move together at this epoch; indices, the older first."""
     present = np.flatnonzero(targets.confirmed & (targets.misses <= PAIR_MAX_MISSES))
     if len(present) < 2:
         return np.empty((0, 2), np.int64)
     near = KDTree(targets.position[present]).query_pairs(PAIR_M, output_type="ndarray").reshape(-1, 2)
     a, b = np.sort(present[near], axis=1).T
-    count = _neighbours(targets).count
+    count = _neighbours(targets, np.arange(len(targets))).count
     velocity = 0.5 * (targets.mean[a, 2:] + targets.mean[b, 2:])
     speed, apart = np.hypot(*velocity.T), targets.position[b] - targets.position[a]
     unit = velocity / np.maximum(speed, 1e-9)[:, None]
@@ -241,6 +249,8 @@ def _find_pairs(targets: Targets) -> Int[Array, "pair 2"]:
     alike = np.hypot(*(targets.mean[a, 2:] - targets.mean[b, 2:]).T) < PAIR_SPEED_M_S
     in_line_or_abreast = (along_m <= PAIR_ALONG_M) | (across_m <= PAIR_ACROSS_M)
     alone = np.minimum(count[a], count[b]) <= PAIR_MAX_ALIKE
+    votes = count_votes(flow, targets.position, targets.mean[:, 2:], time_s)
+    alone &= np.minimum(votes[a], votes[b]) <= PAIR_MAX_VOTES
     return np.stack([a, b], axis=-1)[alike & alone & (speed > PAIR_MIN_SPEED_M_S) & in_line_or_abreast]
 
 

@@ -224,7 +224,7 @@ def _step(
             leaves = None if leaves is None else hypotheses.rename_trees(leaves, targets.id, ids)
             next_id = int(ids.max()) + 1
             targets = select(replace(targets, id=ids), np.argsort(ids))
-        duplicates = existence.update_duplicates(duplicates, targets)
+        duplicates = existence.update_duplicates(duplicates, targets, flow, seen.time_s)
     share = 1 - math.exp(-seen.interval_s / clutter.CLUTTER_S)
     new = replace(
         state, frame=state.frame + 1, time_s=seen.time_s, interval_s=seen.interval_s, grid=grid,
