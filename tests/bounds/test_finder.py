@@ -5,8 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from glintrack.bounds.evidence import group_planes
 from glintrack.bounds.finder import CELL_M, Plane, cell_places, evidence, find_vehicles, ground_cells
+from glintrack.bounds.predictor import PredictedBackground
 from glintrack.camera import Pose, ground_points
+from glintrack.core.spectral import wavelength_grid
+from glintrack.sensor import SensorDesign, build_sensor
+from glintrack.track.detect.binning import binning_factor
 from tests.conftest import small_camera
 
 AREA = (-40.0, -40.0, 40.0, 40.0)
@@ -44,6 +49,31 @@ def test_two_cars_side_by_side_are_two():
     assert found.score[1] > 5 * max(found.score[2:], default=0.0)
     north = np.sort(found.position[:2, 1])
     np.testing.assert_allclose(north, [0.0, 3.5], atol=HALF_A_CELL)
+
+
+def test_fine_elements_are_averaged_and_all_count():
+    """A change of one standard deviation of the noise on each element of 0.125 m, as no single one shows."""
+    design = SensorDesign(layout="pan", rows=320, columns=320, pitch_um=12.5, focal_length_mm=100.0)
+    sensor, pose = build_sensor(design, wavelength_grid()), Pose(0.0, 0.0, 1000.7)
+    fine = binning_factor(0.125)
+    assert fine == 3
+    row, column = np.mgrid[:320, :320]
+    place = ground_points(sensor.camera, pose, np.stack([row, column], axis=-1), 0.7)
+    car = (np.abs(place[..., 0] - 5.0) <= 2.3) & (np.abs(place[..., 1] + 3.0) <= 1.0)
+    electrons = 1000.0 + 10.0 * (np.random.default_rng(0).standard_normal(car.shape) + car)
+    background = PredictedBackground(np.full(car.shape, 1000.0), np.full(car.shape, 100.0))
+    area = (-20.0, -20.0, 20.0, 20.0)
+    x, y = ground_cells(area)
+    score = {}
+    for factor in (1, fine):
+        planes = group_planes("pan", electrons, background, sensor, factor)
+        spacing_m = 0.125 * fine if factor > 1 else CELL_M
+        cells = cell_places(sensor.camera, pose, np.zeros((len(y), len(x))), area, spacing_m)
+        assert cells.shape[2] == (4 if factor > 1 else 1)
+        found = find_vehicles(planes, cells, area, SUN)
+        near = np.hypot(*(found.position - [5.0, -3.0]).T) < HALF_A_CELL
+        score[factor] = max(found.score[near], default=0.0), max(found.score[~near], default=0.0)
+    assert score[3][0] > 3 * score[3][1] and score[3][0] > 2 * score[1][0]
 
 
 def test_noise_alone_says_little():

@@ -39,6 +39,14 @@ def test_three_cars_are_found_on_every_stage_without_a_tracker(three_cars):
     assert found["pan"]["of_moving"].dropna("stage")["stage"].values.tolist() == list(STAGES[:7])
 
 
+def test_fine_elements_find_the_cars_too(three_cars):
+    """Elements of 0.26 m are binned by two, also those of the polarizers."""
+    flight = {"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 5, "rate_hz": 2.0}
+    sensor = {"rows": 600, "columns": 800, "pitch_um": 6.0, "oversampling": 1}
+    for one in measure_bounds(case(flight=flight, sensor=sensor)).values():
+        assert (one["of_visible"].sel(stage=["known_background", "reported_pose"]) == 1).all()
+
+
 @pytest.mark.parametrize(
     "sensor", [{"integration_time_ms": 50.0}, {"read_noise_e": 3e4}, {"read_noise_e": 3e5}], ids=str
 )

@@ -3,6 +3,7 @@
 DoLP is one value per superpixel, √(S1² + S2²)/S0. Its noise follows from the readings to first order.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,9 @@ from jaxtyping import Float
 from glintrack.bounds.finder import Plane, evidence
 from glintrack.bounds.predictor import PredictedBackground
 from glintrack.core.arrays import Array
+from glintrack.core.records import Mosaic
 from glintrack.sensor import Sensor
+from glintrack.track.detect.binning import bin_mosaic
 
 GROUPS = ("pan", "dolp", "all")
 
@@ -58,19 +61,37 @@ def group_elements(group: str, sensor: Sensor) -> list[tuple[int, int]]:
 
 
 def group_planes(
-    group: str, electrons: Float[Array, "row column"], background: PredictedBackground, sensor: Sensor
+    group: str,
+    electrons: Float[Array, "row column"],
+    background: PredictedBackground,
+    sensor: Sensor,
+    factor: int = 1,
 ) -> list[Plane]:
-    """Evidence of change of a group of elements, for `finder.find_vehicles`."""
-    side = sensor.side
+    """Evidence of change of a group of elements, binned by a factor, for `finder.find_vehicles`."""
+    side, gain = sensor.side, np.asarray(sensor.pattern.known_gain)
+    if factor > 1:
+        known, sigma_e = np.isfinite(background.electrons), np.sqrt(background.variance)
+        whole = Mosaic(electrons, sigma_e, sensor.design.superpixel, np.zeros((side, side, 3)))
+        measured, expected, gains = (
+            bin_mosaic(replace(whole, electrons=np.where(known, one, np.nan)), factor)
+            for one in (electrons, background.electrons, gain)
+        )
+        background = PredictedBackground(expected.electrons, expected.sigma_e**2)
+        electrons, gain = measured.electrons, gains.electrons
     if group == "dolp":
-        expected = superpixel_polarization(background.electrons, background.variance, sensor)
-        measured = superpixel_polarization(electrons, background.variance, sensor)
+        expected = superpixel_polarization(background.electrons, background.variance, sensor, gain=gain)
+        measured = superpixel_polarization(electrons, background.variance, sensor, gain=gain)
         change = np.linalg.norm(measured.mean, axis=1) - np.linalg.norm(expected.mean, axis=1)
         shape = electrons.shape[0] // side, electrons.shape[1] // side
         z2 = (change**2 / dolp_variance(expected)).reshape(shape)
-        return [Plane(evidence(z2), (side - 1) / 2, (side - 1) / 2, side)]
+        middle = (factor * side - 1) / 2
+        return [Plane(evidence(z2), middle, middle, factor * side)]
     z2 = (electrons - background.electrons) ** 2 / background.variance
-    return [Plane(evidence(z2[i::side, j::side]), i, j, side) for i, j in group_elements(group, sensor)]
+    first = (factor - 1) / 2
+    return [
+        Plane(evidence(z2[i::side, j::side]), factor * i + first, factor * j + first, factor * side)
+        for i, j in group_elements(group, sensor)
+    ]
 
 
 def superpixel_polarization(
@@ -78,8 +99,9 @@ def superpixel_polarization(
     variance: Float[Array, "row column"],
     sensor: Sensor,
     chosen: Array | None = None,
+    gain: Array | None = None,
 ) -> Polarization:
-    """Q/I and U/I of all superpixels, row by row, or of chosen ones (y, x)."""
+    """Q/I and U/I of all superpixels, row by row, or of chosen ones (y, x), with a gain or the sensor's."""
     if sensor.stokes_matrix is None:
         raise ValueError(f"`sensor` must have polarizers; got layout {sensor.design.layout!r}.")
     layout, side = sensor.design.superpixel, sensor.side
@@ -94,7 +116,7 @@ def superpixel_polarization(
         rows, columns = side * chosen[:, 0], side * chosen[:, 1]
         return np.stack([values[rows + i, columns + j] for i, j in places], axis=-1)
 
-    gain = np.asarray(sensor.pattern.known_gain)
+    gain = np.asarray(sensor.pattern.known_gain) if gain is None else gain
     gain = at_polarizers(gain) if gain.ndim == 2 else gain
     scale = gain * np.array([[sensor.electrons_per_reading[place] for place in places]])
     return polarization(

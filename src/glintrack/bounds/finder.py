@@ -1,6 +1,7 @@
 """Fixed finder of vehicles, the same for every design: a joint fit of vehicle templates.
 
 The evidence of change of each element, f = ln(1 + z²/3), is sampled on a ground grid at half a car's height.
+A cell of the grid has the mean of samples as far apart as the elements, so that fine elements all count.
 A template is the footprint of a car or a lorry in one of eight directions; its score is
 Σ (min(f, 2.5) − 0.8). Templates are taken in falling order of score; each explains the cells under it and its
 shadow.
@@ -83,7 +84,7 @@ def evidence(z2: Float[Array, "..."]) -> Float[Array, "..."]:
 
 def find_vehicles(
     planes: list[Plane],
-    place: Float[Array, "y x 2"],
+    place: Float[Array, "y x sample 2"],
     area_m: tuple[float, float, float, float],
     sun_direction: Float[Array, "3"],
 ) -> Found:
@@ -94,7 +95,7 @@ def find_vehicles(
     planes
         Evidence of each kind of element; the mean is used.
     place
-        Row and column of the elements that see the ground cells, from `cell_places`.
+        Row and column of the elements that see samples of the ground cells, from `cell_places`.
     area_m
         West, south, east, north. [m]
     sun_direction
@@ -102,13 +103,13 @@ def find_vehicles(
     """
     x, y = ground_cells(area_m)
     shape = place.shape[:2]
-    gain = np.zeros(shape, np.float32)
+    gain = np.zeros(place.shape[:3], np.float32)
     for plane in planes:
         seen, element = _cells_in_view(plane, place)
         gain.reshape(-1)[seen] += plane.evidence.reshape(-1)[element] / len(planes)
     taps, start = _taps()
     border = int(np.abs(taps[:, :2]).max())  # no template reaches beyond it
-    gain = np.pad(np.minimum(gain, MAX_GAIN) - PENALTY, border)
+    gain = np.pad(np.minimum(gain, MAX_GAIN).mean(axis=2) - PENALTY, border)
     templates = Templates(border, (taps[:, 0] * gain.shape[1] + taps[:, 1]).astype(int), taps[:, 2], start)
     best, which = np.full(shape, -np.inf, np.float32), np.zeros(shape, np.int16)
     over_rows(_score_rows, len(best), gain, templates, best, which)
@@ -120,8 +121,12 @@ def find_vehicles(
 
 
 def cell_places(
-    camera: Camera, pose: Pose, ground_m: Float[Array, "y x"], area_m: tuple[float, float, float, float]
-) -> Float[Array, "y x 2"]:
+    camera: Camera,
+    pose: Pose,
+    ground_m: Float[Array, "y x"],
+    area_m: tuple[float, float, float, float],
+    spacing_m: float = CELL_M,
+) -> Float[Array, "y x sample 2"]:
     """(row, column) of the elements that see vehicles' middles over the ground cells.
 
     Parameters
@@ -132,9 +137,15 @@ def cell_places(
         Heights of the ground at `ground_cells`. [m]
     area_m
         West, south, east, north. [m]
+    spacing_m
+        Ground sample distance of the elements; the samples of a cell are about as far apart. [m]
     """
     x, y = ground_cells(area_m)
-    return project(camera, pose, np.stack([*np.meshgrid(x, y), ground_m + HEIGHT_M], axis=-1))
+    side = max(round(CELL_M / spacing_m), 1)
+    aside = ((np.arange(side) + 0.5) / side - 0.5) * CELL_M
+    middles = np.stack([*np.meshgrid(x, y), ground_m + HEIGHT_M], axis=-1)
+    samples = np.stack([*np.meshgrid(aside, aside), np.zeros((side, side))], axis=-1).reshape(-1, 3)
+    return project(camera, pose, middles[:, :, None] + samples)
 
 
 def ground_cells(area_m: tuple[float, float, float, float]) -> tuple[Float[Array, "x"], Float[Array, "y"]]:

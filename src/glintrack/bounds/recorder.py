@@ -33,6 +33,7 @@ from glintrack.ortho import intersect_terrain, on_ground
 from glintrack.render import Hits, Observer
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor
+from glintrack.track.detect.binning import binning_factor
 
 POSITIONS_EVERY = 4  # interval of the measured frames with information on positions: a third of the cost
 _TALL_M = 2.2
@@ -94,6 +95,8 @@ class BudgetRecorder:
 
     def _measure(self, frame: ObservedFrame, past: tuple[ExposedFrame, ...], with_positions: bool) -> None:
         hits, camera = frame.hits, self.observer.camera
+        gsd_m = float(np.median(hits.range_m)) * camera.pitch_m / camera.focal_length_m
+        factor = min(binning_factor(gsd_m), min(camera.rows, camera.columns) // self.sensor.side)
         snapshot = self.observer.city.at(frame.time_s)
         bare = self.observer.trace_without_traffic(snapshot, frame.true_pose, hits)
         without = frame.planes_with(bare)
@@ -115,7 +118,8 @@ class BudgetRecorder:
                 present=mean_electrons(frame.planes, self.sensor, polarized),
                 moved=[mean_electrons(planes, self.sensor) for planes in moved if polarized],
                 measured=sample_electrons(frame.planes, self.sensor, self.noise(frame.index), polarized),
-                backgrounds=self._backgrounds(frame, past, known, points, polarized),
+                backgrounds=self._backgrounds(frame, past, known, points, polarized, factor * gsd_m),
+                factor=factor,
             )
             of_group = partial(self._of_group, begin, nearest, frame.truth, light)
             found = dict(zip(groups, map_threads(of_group, groups), strict=True))
@@ -146,7 +150,7 @@ class BudgetRecorder:
         order = np.argsort(truth["vehicle"].values, kind="stable")
         mine = order[np.searchsorted(truth["vehicle"].values[order], ids)]
         for stage, (background, cells) in light.backgrounds.items():
-            planes = group_planes(group, light.measured, background, self.sensor)
+            planes = group_planes(group, light.measured, background, self.sensor, light.factor)
             found = find_vehicles(planes, cells, area_m, self.observer.sky.sun_direction)
             scored = score_detections(found.position, found.score, middle, truth["length_m"].values)
             one.scored[stage] = scored._replace(vehicle=scored.vehicle[mine])
@@ -166,11 +170,13 @@ class BudgetRecorder:
         known: Array,
         points: tuple[Array, ...],
         polarized: bool,
+        spacing_m: float,
     ) -> dict[str, tuple[PredictedBackground, Array]]:
         """Backgrounds by stage, each with the places of the finder's cells in the frame at its pose."""
         sensor, full = self.sensor, full_electrons(self.sensor)
+        ground_m, area_m = self._ground_m, self.observer.city.extent_m
         true_cells, reported_cells = (
-            cell_places(self.observer.camera, pose, self._ground_m, self.observer.city.extent_m)
+            cell_places(self.observer.camera, pose, ground_m, area_m, spacing_m)
             for pose in (frame.true_pose, frame.reported_pose)
         )
         read = np.minimum(known, full)
@@ -240,6 +246,7 @@ class _Electrons:
     moved: list[Array]
     measured: Array
     backgrounds: dict[str, tuple[PredictedBackground, Array]]
+    factor: int
 
 
 def _sunlit(hits: Hits, ids: Array) -> Array:
