@@ -3,11 +3,12 @@
 import math
 import tomllib
 
+import numpy as np
 import pytest
 
 from glintrack.case.packaged import find_case
 from glintrack.core.designs import validate_design
-from glintrack.sensor import SensorDesign
+from glintrack.sensor import SensorDesign, modulation_transfer
 from glintrack.sensor.derivation import MAX_EXPOSURE_MS, ORIGINS, derived_values
 
 DEFAULTS = {"spot_sigma_um": 12.0, "full_well_e": 267e3, "read_noise_e": 20.0, "integration_time_ms": 0.085}
@@ -43,7 +44,16 @@ def test_aberrations_and_diffraction_together_keep_their_ratio_to_the_pitch():
     assert math.hypot(SensorDesign(pitch_um=3.45).spot_sigma_um, airy_um) == pytest.approx(
         ratio * 3.45, rel=A_ROUNDED_VALUE
     )
-    assert SensorDesign(pitch_um=3.45, f_number=16.0).spot_sigma_um == 0.0  # limited by diffraction
+    assert SensorDesign(pitch_um=2.0).spot_sigma_um == 0.0  # limited by diffraction
+
+
+def test_a_slower_lens_is_never_sharper():
+    """Diffraction grows with the F-number; at F/16 it ends below Nyquist of 3.45 µm."""
+    nyquist_per_mm = np.array([500 / 3.45])
+    lenses = [SensorDesign(pitch_um=3.45, f_number=number) for number in (2.8, 4.0, 5.6, 8.0, 16.0)]
+    found = [float(modulation_transfer(lens, 0.7, nyquist_per_mm)[0]) for lens in lenses]
+    assert found == sorted(found, reverse=True) and found[0] > 1.5 * found[2] and found[-1] == 0
+    assert "the fastest is the sharpest" in derived_values(lenses[0])["spot_sigma_um"]
 
 
 def test_exposure_makes_good_what_takes_light():

@@ -27,7 +27,8 @@ _SPOT_UM, _FULL_WELL_E, _READ_NOISE_E, _EXPOSURE_MS = 12.0, 267e3, 20.0, 0.085
 MAX_EXPOSURE_MS = 1.0  # a car at 50 km/h moves 14 mm in it
 _AIRY_SIGMA = 0.42  # Gaussian closest to the Airy pattern, per λF: Zhang et al., Appl. Opt. 46, 1819 (2007)
 ORIGINS = {
-    "spot_sigma_um": "aberrations and diffraction together blur by 0.71 of the pitch (assumed)",
+    "spot_sigma_um": "with diffraction at F/5.6 it blurs by 0.71 of the pitch (assumed). It stays at "
+    "other F-numbers, so that the fastest is the sharpest: diffraction grows with the F-number",
     "full_well_e": "924 e per µm² of the pitch, as of the IMX250MZR (assumed)",
     "read_noise_e": "1.18 e per µm of the pitch (assumed)",
     "integration_time_ms": "white paint in AM1.5G sunlight about half fills the well; at most 1 ms, in which "
@@ -46,9 +47,15 @@ def derived_values(design: Design) -> dict[str, str]:
 
 
 def spot_sigma(known: Mapping[str, Any]) -> float:
-    """Blur by aberrations; with diffraction it has the default's ratio to the pitch, at least 0. [µm]"""
-    ratio2 = (_SPOT_UM**2 + _airy_sigma_um(DEFAULT_BAND_UM, DEFAULT_F_NUMBER) ** 2) / DEFAULT_PITCH_UM**2
-    spot2 = ratio2 * known["pitch_um"] ** 2 - _airy_sigma_um(_band_um(known), known["f_number"]) ** 2
+    """Blur by aberrations; with diffraction at F/5.6 it has the default's ratio to the pitch. [µm]
+
+    Notes
+    -----
+    Aberrations of a real lens shrink when it is stopped down; a data sheet does not say how far. The spot
+    stays here, so that blur grows with the F-number as diffraction does, and has no optimum.
+    """
+    ratio2 = (_SPOT_UM**2 + _airy_sigma_um(DEFAULT_BAND_UM) ** 2) / DEFAULT_PITCH_UM**2
+    spot2 = ratio2 * known["pitch_um"] ** 2 - _airy_sigma_um(_band_um(known)) ** 2
     return _rounded(math.sqrt(max(spot2, 0.0)))
 
 
@@ -117,9 +124,9 @@ def _band_um(known: Mapping[str, Any]) -> tuple[float, float]:
     return first, last
 
 
-def _airy_sigma_um(band_um: tuple[float, float], f_number: float) -> float:
-    """Width (standard deviation) of the Gaussian closest to the Airy pattern at a band's middle. [µm]"""
-    return _AIRY_SIGMA * sum(band_um) / 2 * f_number
+def _airy_sigma_um(band_um: tuple[float, float]) -> float:
+    """Width (standard deviation) of the Gaussian closest to the Airy pattern at F/5.6 and mid-band. [µm]"""
+    return _AIRY_SIGMA * sum(band_um) / 2 * DEFAULT_F_NUMBER
 
 
 def _rounded(value: float) -> float:
