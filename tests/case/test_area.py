@@ -5,7 +5,7 @@ import pytest
 
 from glintrack import Case, simulate
 from glintrack.camera import Pose
-from glintrack.case.area import fit_window, scored_area
+from glintrack.case.area import describe_window, fit_window, scored_area
 from glintrack.case.packaged import find_case
 from glintrack.core.records import Extent
 from glintrack.flight import Flight
@@ -86,14 +86,17 @@ def test_the_window_grows_to_a_large_footprint_unless_it_is_fixed():
         **{"flight.altitude_m": 14_000.0, "sensor.pitch_um": 5.0, "sensor.focal_length_mm": 100.0,
            "sensor.rows": 2048, "sensor.columns": 2048, "atmosphere.altitudes_m": [500.0, 15_000.0]}
     )  # fmt: skip
-    with pytest.warns(UserWarning, match=r"the window grows to the ground in the frame, 1,430 m × 1,430 m"):
-        grown = fit_window(wide)
+    grown = fit_window(wide)
+    line = describe_window(wide)
+    assert (
+        "grows from 660 m × 420 m of the city embedded to the ground in the frame, 1,430 m × 1,430 m" in line
+    )
+    assert "Its traffic needs SUMO" in line and "SUMO is not needed" in describe_window(Case())
     assert grown.scene.size_m == (1430.0, 1430.0)
     fixed = wide.replace({"scene.width_m": 660.0})
     assert fit_window(fixed) is fixed
     huge = wide.replace({"sensor.columns": 8192, "sensor.rows": 8192})
-    with pytest.warns(UserWarning, match="grows"):
-        assert np.prod(fit_window(huge).scene.size_m) <= 4e6
+    assert np.prod(fit_window(huge).scene.size_m) <= 4e6
 
 
 def test_scores_budget_and_truth_are_of_one_area(three_cars):

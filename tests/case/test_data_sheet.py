@@ -89,8 +89,8 @@ def test_the_file_says_what_is_assumed_and_which_key_changes_it():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"pitch_um": None}, "`--pitch` must be given where there is no --sensor"),
-        ({"focal_length_mm": None}, "`--focal-length` must be given where there is no --lens"),
+        ({"pitch_um": None}, "`--pitch` must be given, or --sensor with a name of `glintrack sensor list`"),
+        ({"focal_length_mm": None}, "`--focal-length` must be given, or --lens with a name"),
         (
             {"lens": "pi-6", "focal_length_mm": None},
             "`--lens` must have an image circle of the array's 9.99 mm at least; got 8 mm",
@@ -114,6 +114,13 @@ def test_contradictions_are_refused_in_a_sentence(changes, message):
         case_of(**changes)
 
 
+def test_units_that_may_be_wrong_are_pointed_out():
+    """500 km and 6.07 m, taken for m and mm, see the same ground in a field of 60°."""
+    text, _ = case_of(altitude_m=500.0, focal_length_mm=6.07)
+    assert "Check the units: a field of view of 60°" in text and "focal length 6.07 in mm" in text
+    assert "Check the units" not in case_of()[0]
+
+
 def test_the_command_writes_a_case_that_check_takes(tmp_path, monkeypatch, capsys):
     def glintrack(*words):
         monkeypatch.setattr(sys, "argv", ["glintrack", *map(str, words)])
@@ -126,6 +133,16 @@ def test_the_command_writes_a_case_that_check_takes(tmp_path, monkeypatch, capsy
     assert not code and "sun 50° high (`atmosphere.date`, `atmosphere.local_time_h`)" in printed.out
     code, printed = glintrack("case", "check", file)
     assert not code and "derived: sensor.full_well_e = 11,000 e" in printed.out
+    assert "SUMO is not needed" in printed.out and "the loss budget takes" in printed.out
+    conclusion = printed.out.splitlines()[-1]
+    assert conclusion.startswith(
+        "conclusion: doubtful. No quantity of the design limits tracking. Frame rate"
+    )
+    assert "100 frames at 5 Hz" in printed.out
+    assert "7 frames at 5 Hz" in glintrack("case", "check", file, "--frames", 7)[1].out
+    assert re.findall(r"NIIRS [\d.]+", printed.out) == re.findall(
+        r"in the case mycam: (NIIRS [\d.]+)", glintrack("sensor", "show", file)[1].out
+    )
     slow = tmp_path / "slow.toml"
     assert not glintrack("case", "new", slow, *OPTIONS[:-1], "0.5")[0]
     for words in ((), ("--json",)):  # a bad quantity is an exit code, for scripts

@@ -4,28 +4,32 @@ import pytest
 
 from glintrack.case.check import assess_case
 from glintrack.case.design import Case
-from glintrack.case.fitted_range import describe_binning, describe_initiation, tracker_notes
+from glintrack.case.fitted_range import describe_binning, describe_initiation
 from glintrack.case.packaged import find_case, list_cases
 
 
 @pytest.mark.parametrize("name", list_cases())
 def test_packaged_cases_are_within_the_fitted_range(name):
-    assert tracker_notes(Case.from_toml(find_case(name))) == []
+    assert {one.answer for one in assess_case(Case.from_toml(find_case(name)), ["tracker"])} == {"good"}
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"flight.rate_hz": 5.0, "sensor.max_frame_rate_hz": 5.0}, "frame rate 5 Hz (fitted at 2 Hz)"),
-        ({"sensor.pitch_um": 8.5}, "ground sample distance 0.375 m (fitted at 0.75 m)"),
-        ({"flight.off_nadir_deg": 0.0}, "off-nadir angle 0° (fitted at 50°)"),
-        ({"track.detect.max_speed_m_s": 40.0}, "`track.detect.max_speed_m_s` 40 m/s (fitted at 22 m/s)"),
-        ({"track.reporting.lag_s": 3.0}, "`track.reporting.lag_s` 3 s (fitted at 1.5 s)"),
-        ({"track.detect.detector": "median-motion"}, "detector median-motion (fitted for mosaic)"),
+        (
+            {"flight.rate_hz": 5.0, "sensor.max_frame_rate_hz": 5.0},
+            "frame rate is 5.00 Hz, and detector and tracker were fitted at 2.00 Hz: lower `flight.rate_hz`",
+        ),
+        ({"sensor.pitch_um": 8.5}, "detector's sample distance is 0.375 m, and"),
+        ({"flight.off_nadir_deg": 0.0}, "fitted at 50.0°: raise `flight.off_nadir_deg`"),
+        ({"track.detect.max_speed_m_s": 40.0}, "speed limit is 40.0 m/s, and"),
+        ({"track.reporting.lag_s": 3.0}, "lag of reports is 3.00 s, and"),
+        ({"track.detect.detector": "median-motion"}, "0 % of the models were fitted for the detector in use"),
     ],
 )
-def test_what_lies_outside_the_fitted_range_is_named(changes, words):
-    assert words in tracker_notes(Case().replace(changes))[0]
+def test_what_lies_outside_the_fitted_range_is_doubtful(changes, words):
+    found = [one for one in assess_case(Case().replace(changes)) if one.rank]
+    assert {one.answer for one in found} == {"doubtful"} and any(words in one.reason for one in found)
 
 
 @pytest.mark.parametrize(
@@ -47,9 +51,12 @@ def test_elements_finer_than_the_fitted_range_are_averaged(pitch_um, line):
 
 
 def test_the_line_of_confirmation_states_the_keys_in_use():
-    assert "2 of 5 frames, 0 s, 1 m, 0.5 m/s (rules 'existence')" in describe_initiation(Case())
     own = {"track.reporting.method": "confirmation", "track.initiation.confirm_hits": 4}
-    assert "4 of 5 frames, 1 s, 8 m, 2.5 m/s (rules 'change')" in describe_initiation(Case().replace(own))
+    line = describe_initiation(Case())
+    assert "by detections in 2 of 5 frames, over 1 m or more, at 0.5 m/s or more (`track" in line
+    assert "in 4 of 5 frames, over 1 s or more, over 8 m or more, at 2.5" in describe_initiation(
+        Case().replace(own)
+    )
 
 
 def test_keys_of_another_detector_are_refused():

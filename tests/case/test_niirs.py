@@ -11,7 +11,6 @@ import pytest
 
 from glintrack.case.design import Case
 from glintrack.case.niirs import (
-    NOT_TRACKING,
     describe_niirs,
     giqe5,
     image_quality,
@@ -43,7 +42,7 @@ PYBSM_EDGES = {
     2.0: 0.3827066,
 }  # Q, relative_edge_response of lens and element
 SAMPLED = 2e-3  # of an edge response: steps of the pupil's autocorrelation
-FINDINGS = Path(__file__).parents[2] / "docs/findings"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.mark.parametrize(("gsd_m", "one", "other", "snr", "elevation_deg", "niirs"), PYBSM)
@@ -98,11 +97,12 @@ def test_frame_rate_and_detector_do_not_change_it():
 
 
 def test_it_says_where_the_equation_is_extrapolated():
-    assert "GIQE-5 was fitted at a Q = λN/pitch of 1 to 2; this is 0.23" in describe_niirs(Case())
+    assert "Q = 0.23, outside the fitted 1 to 2" in describe_niirs(Case())
     sharp = Case().replace({"sensor.pitch_um": 2.0, "flight.rate_hz": 1.0})
     assert "fitted" not in describe_niirs(sharp)
     blurred = describe_niirs(Case().replace({"sensor.optics.defocus_um": 5000.0}))
     assert blurred.startswith("NIIRS below 0 ")
+    assert describe_niirs(Case().replace({"sensor.focal_length_mm": 3000.0})).startswith("NIIRS above 9 ")
 
 
 def test_the_statement_on_tracking_is_what_table1_recorded():
@@ -111,7 +111,7 @@ def test_the_statement_on_tracking_is_what_table1_recorded():
     designs = [base.replace({"sensor.pitch_um": pitch}) for pitch in (17, 10.8, 8.5)]
     rated = [found.niirs for design in designs if (found := image_quality(design))]
     steps = [f"{after - before:.2f}" for before, after in pairwise(rated)]
-    with (FINDINGS / "table1_effects.csv").open(encoding="utf-8") as file:
+    with (DOCS / "findings/table1_effects.csv").open(encoding="utf-8") as file:
         effects = {
             row["level"]: float(row["effect"])
             for row in csv.DictReader(file)
@@ -120,4 +120,8 @@ def test_the_statement_on_tracking_is_what_table1_recorded():
     fine, finer = effects["10.8 µm against 17 µm"], effects["8.5 µm against 17 µm"]
     others = effects["10 Hz against 2 Hz"], effects["background against mosaic"]
     expected = [steps[0], f"+{fine:.2f}", steps[1], f"+{finer - fine:.2f}", *(f"{x:+.2f}" for x in others)]
-    assert re.findall(r"[+−]?\d\.\d\d", NOT_TRACKING) == [one.replace("-", "−") for one in expected]
+    page = (DOCS / "guide/case.md").read_text(encoding="utf-8")
+    (statement,) = re.findall(
+        r"NIIRS rates one picture and does not predict tracking\.[^.]*(?:.*\n)+?\n", page
+    )
+    assert re.findall(r"[+−]?\d\.\d\d", statement) == [one.replace("-", "−") for one in expected]

@@ -67,9 +67,11 @@ def test_the_footprint_is_compared_with_the_scored_area():
     half = Case().replace({"sensor.rows": 280, "sensor.columns": 440})
     square = [[-100.0, -100.0], [100.0, -100.0], [100.0, 100.0], [-100.0, 100.0]]
     wide = [[3 * x for x in corner] for corner in square]
-    for area, share in (("window", 0.389), (None, 1.0), ("footprint", 1.0), (square, 1.0), (wide, 0.299)):
-        case = half if area is None else half.replace({"scene.area": area})
+    for area, share in (("window", 0.389), (square, 1.0), (wide, 0.299)):
+        case = half.replace({"scene.area": area})
         assert view_quantities(case)["footprint_share"] == pytest.approx(share, rel=1e-2), area
+    for footprint in (half, half.replace({"scene.area": "footprint"})):
+        assert "footprint_share" not in view_quantities(footprint)
 
 
 def test_diffraction_and_transfer_of_a_perfect_lens():

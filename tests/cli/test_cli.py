@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 import tomllib
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,7 @@ import xarray as xr
 
 from glintrack.case.design import Case
 from glintrack.cli import app
+from glintrack.cli.run import describe_progress
 from glintrack.io.tracks import MATCH_COLUMNS, TRACK_COLUMNS, WRITERS
 from glintrack.results import run as functions
 
@@ -226,7 +228,8 @@ def test_the_schema_lists_every_table(monkeypatch, capsys):
 def test_packaged_cases_are_valid(monkeypatch, name, capsys):
     assert program(monkeypatch, "case", "check", name) == 0
     said = capsys.readouterr().out
-    assert "25 good, 0 doubtful, 0 bad" in said and "e+0" not in said
+    assert "30 good, 1 not stated\n" in said and "e+0" not in said
+    assert said.splitlines()[-1] == "conclusion: good. No quantity of the design limits tracking."
     assert max(len(line) for line in said.splitlines() if line.startswith("  ")) <= 80
 
 
@@ -244,3 +247,17 @@ def test_a_bad_case_is_simulated_with_force_only(monkeypatch, three_cars, case_f
     monkeypatch.setattr("glintrack.cli.run.run_case", lambda *arguments: pytest.fail("simulated", False))
     with pytest.raises(pytest.fail.Exception):
         program(monkeypatch, "run", case_file, "-o", tmp_path / "out", "--force")
+    said = capsys.readouterr().out
+    assert said.startswith("bad: stare point beyond window ") and "\nwindow: 660 m × 420 m" in said
+    assert "\nexpected time on this machine: " in said and "the loss budget takes" in said
+
+
+def test_progress_says_that_the_ground_is_learnt_before_the_first_tracks():
+    """At 2 Hz the ground takes 2 frames, and reports have a lag of 3."""
+    for index, tracked, text in (
+        (2, 0, "learning the ground, first tracks from about frame 6"),
+        (2, 1, "1/3 moving vehicles tracked now"),
+        (5, 0, "0/3 moving vehicles tracked now"),
+    ):
+        score = SimpleNamespace(valid=np.arange(3) < tracked, should=np.ones(3, bool))
+        assert describe_progress(SimpleNamespace(index=index, score=score), Case()) == text

@@ -126,7 +126,7 @@ def test_every_stage_and_score_is_explained(folder):
     assert set(terms["stages"]) == set(STAGES) and set(terms["scores"]) == set(SCORE_LABELS)
     html = build_page(add_loss_budget(folder))
     assert all(str(escape(text)) in html for text in (*terms["scores"].values(), *terms["terms"].values()))
-    assert "NIIRS rates one picture and does not predict tracking" in html
+    assert "It does not predict tracking" in html
 
 
 def test_the_suns_arrow_points_to_where_it_stands():

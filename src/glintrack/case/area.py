@@ -4,8 +4,8 @@ The footprint is the ground in the frame: the convex hull of the frame's border,
 """
 
 import math
-import warnings
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 import shapely
@@ -78,13 +78,11 @@ def fit_window(case: Case) -> Case:
 
     Fixed windows stay: given sizes, a traffic file, Braunschweig, a mesh, and flights along waypoints.
     """
-    scene, sensor = case.scene, case.sensor
+    scene = case.scene
     fixed = scene.width_m or scene.height_m or scene.traffic_file or scene.city in ("braunschweig", "mesh")
     if fixed or case.flight.kind == "waypoints":
         return case
-    size, distortion = (sensor.rows, sensor.columns), sensor.optics.distortion
-    camera = Camera(sensor.focal_length_m, sensor.pitch_m, *size, distortion=distortion)
-    seen = _footprints(camera, Flight(case.flight, sun_direction(case.atmosphere)[1], seed=case.seed))
+    seen = _footprints(*_sight(case))
     city = area_with_margin(scene.extent_m)
     if sum(one.difference(city).area for one in seen) <= MAX_BEYOND * sum(one.area for one in seen):
         return case
@@ -93,12 +91,39 @@ def fit_window(case: Case) -> Case:
     sides = [min(max(2 * r, own), LARGEST_SIDE_M) for r, own in zip(reach_m, scene.size_m, strict=True)]
     scale = min(1.0, math.sqrt(LARGEST_M2 / math.prod(sides)))
     wide, high = (10.0 * math.ceil(scale * side / 10 - 1) for side in sides)
-    warnings.warn(
-        f"the window grows to the ground in the frame, {wide:,.0f} m × {high:,.0f} m "
-        "(`scene.width_m` and `scene.height_m` fix it)",
-        stacklevel=2,
-    )
     return case.replace({"scene.width_m": wide, "scene.height_m": high})
+
+
+def describe_window(case: Case) -> str:
+    """Line on the window: whether it grows, which part of it is scored, and whether it needs SUMO."""
+    fitted = fit_window(case)
+    scene, name = fitted.scene, case.scene.city
+    if scene.uses_mesh_window:
+        return "window: that of the mesh"
+    own, size = (" m × ".join(f"{side:,.0f}" for side in one.size_m) + " m" for one in (case.scene, scene))
+    text = f"window: {size} of the city {name}"
+    if fitted is not case:
+        text = (
+            f"window: grows from {own} of the city {name} to the ground in the frame, {size} "
+            "(`scene.width_m` and `scene.height_m` fix it)"
+        )
+    if case.flight.kind != "waypoints":
+        kind = scored_area(fitted, scene.extent_m, *_sight(case)).kind
+        text += f". Vehicles in the {kind} are scored"
+    if name != "embedded" or scene.traffic_file:
+        return text
+    if scene.uses_shipped_traffic:
+        return f"{text}. Its traffic is recorded: SUMO is not needed"
+    missing = "" if find_spec("sumo") else ", which is not installed: install the extra `traffic`"
+    return f"{text}. Its traffic needs SUMO{missing}"
+
+
+def _sight(case: Case) -> tuple[Camera, Flight]:
+    """Camera and flight of a case without a lens or waypoints from files."""
+    sensor = case.sensor
+    size, distortion = (sensor.rows, sensor.columns), sensor.optics.distortion
+    camera = Camera(sensor.focal_length_m, sensor.pitch_m, *size, distortion=distortion)
+    return camera, Flight(case.flight, sun_direction(case.atmosphere)[1], seed=case.seed)
 
 
 def _footprints(camera: Camera, flight: Flight) -> list[Polygon]:

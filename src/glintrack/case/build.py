@@ -1,5 +1,6 @@
 """Build the scenario of a case: city, sun and sky, flight, sensor, and the observer that traces frames."""
 
+import warnings
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from glintrack.atmosphere import AtmosphereDesign, solve_tables, sun_direction
-from glintrack.case.area import ScoredArea, fit_window, scored_area
+from glintrack.case.area import ScoredArea, describe_window, fit_window, scored_area
 from glintrack.case.design import Case
 from glintrack.core.progress import step
 from glintrack.core.records import Extent, GroundPlace
@@ -64,7 +65,10 @@ def build_scenario(case: Case) -> Scenario:
     """Build the city, atmosphere, flight and sensor of a case."""
     if not isinstance(case, Case):
         raise TypeError(f"`case` must be a Case; got {case!r}. Read one with Case.from_toml.")
-    case = fit_window(case)
+    fitted = fit_window(case)
+    if fitted is not case:
+        warnings.warn(describe_window(case), stacklevel=2)
+    case = fitted
     with step("building the city"):
         city = build_scene(case.scene)
     check_place(case.atmosphere, city)

@@ -28,6 +28,7 @@ OPTIONS = {  # that give a key of [sensor], and that name an item of the catalog
 }
 RAY_SPACING_M = 0.25  # of the quickstart: 3 rays along an element of 0.75 m
 _MIN_FRAMES, _MAX_FRAMES, _FLIGHT_S = 40, 100, 20.0
+USUAL_FIELD_DEG, USUAL_GSD_M = 50.0, (0.01, 2.0)  # beyond them a unit may be wrong
 Entries = dict[str, tuple[Any, str]]  # value and comment of a key
 
 
@@ -69,13 +70,20 @@ def case_text(
     _add_figures(sensor, camera, lens)
     top: Entries = {"channels": (["pan"], "without polarizers")} if sensor["layout"][0] == "pan" else {}
     tables = {"": top, "flight": path, "sensor": sensor}
-    (across_m, along_m), (wide_m, high_m) = ground_view(_case_of(tables, name))
+    drawn = _case_of(tables, name)
+    (across_m, along_m), (wide_m, high_m) = ground_view(drawn)
+    field_deg, focal_mm = max(drawn.sensor.field_of_view_deg), drawn.sensor.focal_length_mm
     rays = min(max(math.ceil(across_m / RAY_SPACING_M - 1e-6), 1), 5)
     sensor["oversampling"] = rays, "rays along an element"
     lines = [
         "# A case from a data sheet, made by `glintrack case new`. `glintrack case check` judges it.",
         f"# Ground: element {across_m:.3g} m × {along_m:.3g} m, field {wide_m:.0f} m × {high_m:.0f} m",
     ]
+    if field_deg > USUAL_FIELD_DEG or not USUAL_GSD_M[0] < across_m < USUAL_GSD_M[1]:
+        lines.append(
+            f"# Check the units: a field of view of {field_deg:.0f}° or elements that see {across_m:.2g} m "
+            f"are unusual. Altitude {flight['altitude_m']:g} is in m, focal length {focal_mm:g} in mm"
+        )
     for table, entries in tables.items():
         lines += ["", f"[{table}]"] if table else []
         lines += [f"{f'{k} = {json.dumps(v)}':<33} # {why}".rstrip("# ") for k, (v, why) in entries.items()]
@@ -146,7 +154,9 @@ def _add_figures(entries: Entries, camera: Mapping[str, Any], lens: str) -> None
         if (value := camera.get(key)) is not None and key in entries:
             raise ValueError(f"`{other}` must be given without {option}; got both. Leave one out.")
         if value is None and key not in entries:
-            raise ValueError(f"`{option}` must be given where there is no {other}; got neither.")
+            raise ValueError(
+                f"`{option}` must be given, or {other} with a name of `glintrack sensor list`; got neither."
+            )
         entries.setdefault(key, (value, ""))
     f_number = camera.get("f_number")
     entries["f_number"] = (DEFAULT_F_NUMBER, "assumed") if f_number is None else (f_number, "")

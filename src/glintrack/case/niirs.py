@@ -25,11 +25,6 @@ TARGET, BACKGROUND = 0.15, 0.07  # reflectances of the equation's signal-to-nois
 Q_RANGE = (1.0, 2.0)  # λN/pitch of the pictures that the equation was fitted to
 _M_PER_INCH = 0.0254
 _FREQUENCY_STEP = 1e-3  # of the integral over the MTF [cycle/element]
-NOT_TRACKING = (
-    "NIIRS rates one picture and does not predict tracking. In the study `table1` a finer pitch gave 0.51 "
-    "NIIRS and +0.11 completeness of visible vehicles in pan. The next 0.18 NIIRS gave +0.01. Frame rate "
-    "(10 Hz for 2 Hz: +0.06) and detector (another one: −0.19) do not change NIIRS."
-)
 
 
 class ImageQuality(NamedTuple):
@@ -117,16 +112,15 @@ def image_quality(case: Case) -> ImageQuality | None:
 
 
 def describe_niirs(case: Case) -> str:
-    """Line with NIIRS and what it follows from; says so where GIQE-5 is extrapolated."""
+    """Line with NIIRS within its scale and what it follows from; says so where GIQE-5 is extrapolated."""
     found = image_quality(case)
     if found is None:
         return "NIIRS: not known without light"
     rating = "below 0" if found.niirs < 0 else "above 9" if found.niirs > 9 else f"{found.niirs:.1f}"
-    text = (
-        f"NIIRS {rating} (GIQE-5: ground sample distance {format_number(found.gsd_m)} m, relative "
-        f"edge response {found.edge_response:.2f}, signal-to-noise ratio {found.snr:.0f} of 15 % to 7 % "
-        "reflectance)"
-    )
     low, high = Q_RANGE
-    outside = f". GIQE-5 was fitted at a Q = λN/pitch of {low:g} to {high:g}; this is {found.q:.2g}"
-    return text + outside * (not low <= found.q <= high)
+    fitted = "" if low <= found.q <= high else f", outside the fitted {low:g} to {high:g}"
+    return (
+        f"NIIRS {rating} of one picture by GIQE-5 (ground sample distance {format_number(found.gsd_m)} m, "
+        f"edge response {found.edge_response:.2f}, signal-to-noise ratio {found.snr:.0f}, "
+        f"Q = {found.q:.2g}{fitted}). It does not predict tracking (docs/guide/case.md)"
+    )

@@ -7,7 +7,6 @@ Light on the ground is that of a clear sky by SPCTRAL2, seen through haze by Kos
 
 import math
 import os
-import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +21,7 @@ from glintrack.case.area import MIN_COVERED, fit_window
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
 from glintrack.core.spectral import quadrature_weights
+from glintrack.core.units import format_duration
 from glintrack.flight import Flight, FlightDesign
 from glintrack.scene import City
 from glintrack.sensor import image_motion, with_lens
@@ -41,8 +41,8 @@ ANGSTROM_EXPONENT = 1.14  # of SPCTRAL2's rural aerosol (Bird & Riordan 1986)
 OZONE_CM = 0.344  # of the US standard atmosphere
 RAYLEIGH_SCALE_HEIGHT_M = 8000.0
 # processor time on one core, from flights of quickstart: imports, city and sky; an element of a frame with
-# three channels; each of its rays; a frame of the loss budget over a plain one; a wavelength of an atmosphere
-BUILD_S, SECONDS_PER_ELEMENT, SECONDS_PER_RAY, BUDGET_FACTOR = 9.0, 3e-6, 0.7e-6, 2.3
+# three channels; each of its rays; an element of a frame of the loss budget; a wavelength of an atmosphere
+BUILD_S, SECONDS_PER_ELEMENT, SECONDS_PER_RAY, BUDGET_S_PER_ELEMENT = 9.0, 3e-6, 0.7e-6, 18e-6
 SOLVE_S_PER_WAVELENGTH = 9.0
 _BASE_BYTES, _BYTES_PER_ELEMENT, _BYTES_PER_RAY = 1.5e9, 720.0, 105.0  # peak memory of the same flights
 _FWHM_MTF50 = 2 * math.log(2) / math.pi  # of a Gaussian: its full width at half maximum × half-MTF frequency
@@ -54,16 +54,35 @@ def ground_view(case: Case) -> tuple[tuple[float, float], tuple[float, float]]:
 
     A flight along waypoints counts with the altitude and off-nadir angle of ``[flight]``.
     """
-    sensor, off_nadir = case.sensor, math.radians(_off_nadir_deg(case))
+    sensor, off_nadir = case.sensor, math.radians(off_nadir_deg(case))
     slant_m = case.flight.altitude_m / math.cos(off_nadir)
     across_m = sensor.ifov_rad * slant_m
     along_m = across_m / math.cos(off_nadir)
     return (across_m, along_m), (sensor.columns * across_m, sensor.rows * along_m)
 
 
-def _off_nadir_deg(case: Case) -> float:
+def off_nadir_deg(case: Case) -> float:
+    """Angle of the line of sight from nadir at the first frame. [°]"""
     flight = case.flight
     return flight.off_nadir_deg if flight.gimbal == "stare" else 90 - flight.gimbal_depression_deg
+
+
+def views(case: Case) -> dict[str, Case]:
+    """Case with the off-nadir angle of its first, middle and last frame, by name.
+
+    The case alone where that angle is one: on circles about the stare point, and for a fixed gimbal. That of
+    a path along waypoints is not known without its file.
+    """
+    flight = case.flight
+    if flight.gimbal != "stare" or flight.kind in ("orbit", "waypoints"):
+        return {"": case}
+    path, found = Flight(flight, sun_direction(case.atmosphere)[1]), {}
+    for name, at in (("first", 0), ("middle", len(path.times_s) // 2), ("last", -1)):
+        away_m = np.subtract(path.pose(float(path.times_s[at])).position, path.stare_point)
+        angle_deg = math.degrees(math.atan2(math.hypot(*away_m[:2]), away_m[2]))
+        changes = {"kind": "orbit", "off_nadir_deg": angle_deg}
+        found[name] = case.model_copy(update={"flight": flight.model_copy(update=changes)})
+    return found
 
 
 def view_quantities(case: Case) -> dict[str, float]:
@@ -79,22 +98,17 @@ def view_quantities(case: Case) -> dict[str, float]:
     }
     if case.scene.uses_mesh_window:
         return found
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the run says how the window grows
-        scene = fit_window(case).scene
+    scene = fit_window(case).scene
     east_m, north_m = scene.size_m
     scored_m2 = Polygon(scene.area).area if isinstance(scene.area, tuple) else east_m * north_m
     share = min(wide_m * high_m / scored_m2, 1.0)
-    if scene.area == "footprint" or (scene.area is None and share < MIN_COVERED):
-        share = 1.0
+    if scene.area != "footprint" and (scene.area is not None or share >= MIN_COVERED):
+        found["footprint_share"] = share
     beyond = (
         max(abs(case.flight.stare_east_m) - east_m / 2, 0.0),
         max(abs(case.flight.stare_north_m) - north_m / 2, 0.0),
     )
-    return found | {
-        "footprint_share": share,
-        "beyond_window": math.hypot(*beyond) / (math.hypot(wide_m, high_m) / 2),
-    }
+    return found | {"beyond_window": math.hypot(*beyond) / (math.hypot(wide_m, high_m) / 2)}
 
 
 def optics_quantities(case: Case) -> dict[str, float]:
@@ -150,7 +164,7 @@ def haze_transmittance(case: Case) -> float:
     aerosol = case.atmosphere.aerosol_optical_depth_550 * -math.expm1(-height_m / SCALE_HEIGHT_M)
     scale_m = RAYLEIGH_SCALE_HEIGHT_M
     rayleigh = RAYLEIGH_EXTINCTION_550_PER_KM * 1e-3 * scale_m * -math.expm1(-height_m / scale_m)
-    return math.exp(-(aerosol + rayleigh) / math.cos(math.radians(_off_nadir_deg(case))))
+    return math.exp(-(aerosol + rayleigh) / math.cos(math.radians(off_nadir_deg(case))))
 
 
 class ElementLight(NamedTuple):
@@ -225,7 +239,7 @@ def motion_quantities(case: Case, fastest_m_s: float = CITY_SPEED_M_S) -> dict[s
         Speed of its fastest vehicles. [m s⁻¹]
     """
     flight, exposure_s = case.flight, 1e-3 * case.sensor.integration_time_ms
-    narrow_m, in_view_s = min(ground_view(case)[1]), math.inf
+    narrow_m, in_view_s = min(min(ground_view(one)[1]) for one in views(case).values()), math.inf
     found = {
         "vehicle_blur_m": fastest_m_s * exposure_s,
         "displacement_share": fastest_m_s / flight.rate_hz / (fastest_m_s * MIN_HEADWAY_S + CAR_M[0]),
@@ -251,21 +265,40 @@ def motion_quantities(case: Case, fastest_m_s: float = CITY_SPEED_M_S) -> dict[s
     return found | {"vehicle_dwell_s": crossing_s, "vehicle_dwell_frames": crossing_s * flight.rate_hz}
 
 
+def budget_cpu_s(case: Case) -> float:
+    """Rough processor time of the loss budget of a whole flight. [s]"""
+    every, elements = case.bound.every, case.sensor.rows * case.sensor.columns
+    return BUDGET_S_PER_ELEMENT * elements * ((case.flight.frames - 1) // every if every else 0)
+
+
 def estimate_cpu_s(case: Case) -> float:
     """Rough processor time of a whole flight, as a weight before any case has finished. [s]"""
-    sensor, frames, every = case.sensor, case.flight.frames, case.bound.every
-    measured = (frames - 1) // every if every else 0
+    sensor = case.sensor
     frame_s = sensor.rows * sensor.columns * (SECONDS_PER_ELEMENT + SECONDS_PER_RAY * sensor.oversampling**2)
-    return BUILD_S + frame_s * (frames + (BUDGET_FACTOR - 1) * measured)
+    return BUILD_S + frame_s * case.flight.frames + budget_cpu_s(case)
+
+
+def run_cpu_s(case: Case) -> float:
+    """Rough processor time of a flight, and of an atmosphere that is not solved yet. [s]"""
+    solved = is_solved(case.atmosphere)
+    return estimate_cpu_s(case) + (not solved) * SOLVE_S_PER_WAVELENGTH * len(case.atmosphere.wavelength_um)
+
+
+def describe_time(case: Case) -> str:
+    """Line with the expected time of a run, and the share of it that the loss budget takes."""
+    cpu_s = run_cpu_s(case)
+    text = f"expected time on this machine: {format_duration(cpu_s / (os.cpu_count() or 1))}"
+    if not budget_cpu_s(case):
+        return text
+    return (
+        f"{text}, of which the loss budget takes {100 * budget_cpu_s(case) / cpu_s:.0f} % "
+        f"(`bound.every` = {case.bound.every}; larger is faster, 0 leaves it out)"
+    )
 
 
 def cost_quantities(case: Case) -> dict[str, float]:
     """Rough wall time and share of this machine's memory, by rates of flights of quickstart. [s, 1]"""
-    sensor = case.sensor
-    cpu_s = estimate_cpu_s(case)
-    if not is_solved(case.atmosphere):
-        cpu_s += SOLVE_S_PER_WAVELENGTH * len(case.atmosphere.wavelength_um)
-    found = {"run_s": cpu_s / (os.cpu_count() or 1)}
+    sensor, found = case.sensor, {"run_s": run_cpu_s(case) / (os.cpu_count() or 1)}
     per_element = _BYTES_PER_ELEMENT + _BYTES_PER_RAY * sensor.oversampling**2
     total = machine_memory_bytes()
     if total:

@@ -5,7 +5,6 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -15,22 +14,25 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from glintrack.case.area import fit_window
+from glintrack.case.advice import conclude
+from glintrack.case.area import describe_window
 from glintrack.case.build import check_place
-from glintrack.case.check import Judgement, assess_case
+from glintrack.case.check import ANSWERS, Judgement, assess_case
 from glintrack.case.data_sheet import Polarizers, case_text
 from glintrack.case.design import Case
-from glintrack.case.fitted_range import describe_binning, describe_initiation, tracker_notes
-from glintrack.case.niirs import NOT_TRACKING, describe_niirs
+from glintrack.case.fitted_range import describe_binning, describe_initiation
+from glintrack.case.niirs import describe_niirs
 from glintrack.case.packaged import find_case, list_cases, list_studies
-from glintrack.case.quantities import CITY_SPEED_M_S, fastest_speed_m_s
+from glintrack.case.quantities import CITY_SPEED_M_S, describe_time, fastest_speed_m_s
 from glintrack.cli.options import (
     EXIT_CODES,
     CaseArgument,
+    FramesOption,
     OutsidePathsOption,
     argument,
     check_output,
     command_app,
+    limit_frames,
     make_table,
     open_console,
     option,
@@ -58,6 +60,7 @@ def show_cases() -> None:
 @app.command()
 def check(
     case: CaseArgument,
+    frames: FramesOption = None,
     as_json: Annotated[bool, option("Print the judgements as JSON", "--json")] = False,
     allow_outside_paths: OutsidePathsOption = False,
 ) -> None:
@@ -66,7 +69,7 @@ def check(
     The exit code is 0 without a bad quantity, 1 with one, and 2 if the case is not valid.
     """
     path = find_case(case)
-    design = Case.from_toml(path, allow_outside_paths)
+    design = limit_frames(Case.from_toml(path, allow_outside_paths), frames)
     flight = design.flight
     build_sensor(design.sensor, design.atmosphere.wavelength_um)
     if flight.kind == "waypoints":
@@ -79,38 +82,38 @@ def check(
         check_place(design.atmosphere, city)
         recording_duration_s, fastest_m_s = city.duration_s, fastest_speed_m_s(city, flight)
     check_recorded(flight, recording_duration_s)
-    judgements, notes = assess_case(design, fastest_m_s=fastest_m_s), tracker_notes(design)
-    if fit_window(design) is not design and find_spec("sumo") is None:
-        notes.append("the run needs SUMO for the traffic of the larger window: install the extra `traffic`")
+    judgements = assess_case(design, fastest_m_s=fastest_m_s)
     count = Counter(one.answer for one in judgements)
     if as_json:
         print(json.dumps([one.record() for one in judgements], indent=2, ensure_ascii=False))
     else:
-        frames = f"{flight.frames} frames at {flight.rate_hz:g} Hz"
-        console.print(f"{path} is a valid case: {frames} over the city {design.scene.city}")
+        length = f"{flight.frames} frames at {flight.rate_hz:g} Hz"
+        console.print(f"{path} is a valid case: {length} over the city {design.scene.city}")
         print_judgements(console, judgements)
         for line in (
-            describe_niirs(design),
-            NOT_TRACKING,
-            describe_initiation(design),
-            *describe_binning(design),
             *(f"derived: {value}" for value in derived_values(design.sensor).values()),
-            *(f"warning: {note}" for note in notes),
-            ", ".join(f"{count[answer]} {answer}" for answer in ("good", "doubtful", "bad")),
+            describe_niirs(design),
+            describe_window(design),
+            *describe_binning(design),
+            describe_initiation(design),
+            describe_time(design),
+            ", ".join(f"{count[answer]} {answer}" for answer in ANSWERS if count[answer]),
         ):
             console.print(line)
+        worst = max(judgements, key=lambda one: one.rank).answer
+        forced = ". `glintrack run` simulates it with --force only" if count["bad"] else ""
+        console.print(f"conclusion: {worst}. {conclude(design, judgements, fastest_m_s)}{forced}.")
     if count["bad"]:
-        console.print("`glintrack run` simulates this case with --force only")
         raise typer.Exit(EXIT_CODES["no"])
 
 
 def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
     """Print a table of judgements, and below it the reasons of those that are not good."""
-    rows = [(one.label, one.text, one.answer, one.good) for one in judgements]
+    rows = [(one.label, f"{one.text} {one.view}".strip(), one.answer, one.good) for one in judgements]
     console.print(make_table(None, ("quantity", "value", "judgement", "good is"), rows, left=4))
     for one in judgements:
         if one.reason:
-            console.print(f"{one.answer}: {one.reason}")
+            console.print(f"{one.answer}{f' ({one.view} frame)' if one.view else ''}: {one.reason}")
 
 
 @app.command()

@@ -1,6 +1,7 @@
 """Options, consoles, tables and progress bars that commands share."""
 
 import threading
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -13,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from glintrack.case.design import Case
 from glintrack.core.progress import listen
 from glintrack.io.readings import Reading
 from glintrack.io.untrusted import plain
@@ -44,6 +46,7 @@ ResultArgument = Annotated[Path, argument("Folder that `glintrack run` wrote")]
 OutsidePathsOption = Annotated[
     bool, option("Allow file paths outside the case's folder", "--allow-outside-paths")
 ]
+FramesOption = Annotated[int | None, option("Number of frames to simulate [default: all]", min=1)]
 BaseOption = Annotated[str | None, option("Case to compare with [default: the packaged case of its name]")]
 RequireOption = Annotated[
     list[str] | None,
@@ -176,6 +179,17 @@ def show_wait(console: Console, description: str) -> Iterator[None]:
     with Bar(console, transient=True) as bar:
         bar.add_task(description, total=None, announce=False)
         yield
+
+
+def limit_frames(case: Case, frames: int | None) -> Case:
+    """Case with at most some frames; warns where it has fewer."""
+    whole = case.flight.frames
+    if frames is not None and frames > whole:
+        warnings.warn(
+            f"the case has {whole} frames, which are simulated (for more: --set flight.frames={frames})",
+            stacklevel=2,
+        )
+    return case if frames is None else case.replace({"flight.frames": min(frames, whole)})
 
 
 def check_output(path: Path, *suffixes: str, option: str = "output") -> None:

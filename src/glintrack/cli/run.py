@@ -12,19 +12,21 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 
 from glintrack.bounds import STAGE_LABELS, STAGES_NOTE
-from glintrack.case.area import fit_window
-from glintrack.case.check import bad_reasons
+from glintrack.case.area import describe_window, fit_window
+from glintrack.case.check import assess_case
 from glintrack.case.design import Case
-from glintrack.case.fitted_range import tracker_notes
 from glintrack.case.packaged import find_case
+from glintrack.case.quantities import describe_time
 from glintrack.cli.options import (
     BAR_WIDTH,
     Bar,
     CaseArgument,
+    FramesOption,
     OutsidePathsOption,
     RequireOption,
     check_answers,
     command_app,
+    limit_frames,
     make_table,
     open_console,
     option,
@@ -88,7 +90,7 @@ def parse_changes(changes: list[str]) -> dict[str, object]:
 def run(
     case: CaseArgument = "quickstart",
     output: Annotated[Path | None, option("New folder [default: result-NAME]", "-o", "--output")] = None,
-    frames: Annotated[int | None, option("Number of frames to simulate [default: all]", min=1)] = None,
+    frames: FramesOption = None,
     changes: Annotated[
         list[str] | None,
         option(
@@ -108,25 +110,23 @@ def run(
     """
     requirements = [read_requirement(text) for text in require or []]
     design = Case.from_toml(find_case(case), allow_outside_paths, parse_changes(changes or []))
-    if frames is not None:
-        whole = design.flight.frames
-        if frames > whole:
-            warnings.warn(
-                f"the case has {whole} frames, which are simulated (for more: --set flight.frames={frames})",
-                stacklevel=2,
-            )
-        design = design.replace({"flight.frames": min(frames, whole)})
+    design = limit_frames(design, frames)
     for one in requirements:
         one.check_channel(design.channels)
-    if not force and (bad := bad_reasons(design)):
+    judged = assess_case(design)
+    if not force and (bad := [one.reason for one in judged if one.answer == "bad"]):
         raise ValueError(
             f"`case` must have no bad quantity; got {len(bad)}: {'; '.join(bad)}. "
             "`glintrack case check` shows all quantities; --force simulates the case anyway."
         )
     check_new_folder(output or Path(f"result-{design.name}"))
     console = open_console()
-    for note in tracker_notes(design):
-        console.print(f"warning: {note}")
+    for answer in ("bad", "doubtful"):
+        if of := [f"{one.label} {one.text}" for one in judged if one.answer == answer]:
+            console.print(f"{answer}: {', '.join(of)} (why: glintrack case check)")
+    console.print(describe_window(design))
+    console.print(describe_time(design))
+    warnings.filterwarnings("ignore", "window: ")  # which is said already
     if fit_window(design) is not design:
         sumo_home()  # simulates the traffic of the larger window: say before any compilation if it is missing
     if not is_complete():
@@ -145,9 +145,8 @@ def run(
         def show(epoch: Epoch) -> None:
             areas[epoch.time_s] = epoch.true_frame.area
             if epoch.channel == last:
-                tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} moving vehicles tracked now"
                 done = epoch.index + 1 == design.flight.frames
-                doing = "scoring, writing …" if done else tracked
+                doing = "scoring, writing …" if done else describe_progress(epoch, design)
                 pace.add(epoch.index, time.perf_counter() - compilation.seconds)
                 left_s = pace.left_s()
                 left = "" if left_s is None or done else f"{format_duration(left_s)} left"
@@ -169,6 +168,15 @@ def run(
     for requirement, assessment in found:
         console.print(describe_assessment(requirement, assessment))
     check_answers(assessment.answer for _, assessment in found)
+
+
+def describe_progress(epoch: Epoch, case: Case) -> str:
+    """Count the tracked vehicles of a frame; before the first tracks, say when they are expected."""
+    rate_hz, lag_s = case.flight.rate_hz, case.track.reporting.effective_lag_s
+    first = case.track.count_learning_frames(rate_hz) + math.ceil(lag_s * rate_hz) + 1
+    if epoch.index + 1 < first and not epoch.score.valid.any():
+        return f"learning the ground, first tracks from about frame {first}"
+    return f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} moving vehicles tracked now"
 
 
 def assess_tracks(

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from glintrack.case.build import trace_frame
 from glintrack.case.check import assess_case
-from glintrack.case.design import Case, read_table
-from glintrack.case.niirs import NOT_TRACKING, describe_niirs
+from glintrack.case.design import Case, read_case, read_table
+from glintrack.case.niirs import describe_niirs
 from glintrack.case.packaged import find_case
 from glintrack.cli.case import print_judgements
 from glintrack.cli.options import (
@@ -84,7 +84,7 @@ def show(
     design: Annotated[str, argument("Name of `glintrack sensor list`, or a TOML file with a [sensor] table")],
     mtf: Annotated[Path | None, option("Figure of the MTF to write, .png")] = None,
 ) -> None:
-    """Print derived quantities of a sensor, and judge them in the light of the packaged case quickstart."""
+    """Print derived quantities of a sensor, and judge them in the light of its case, or of quickstart."""
     arrays = read_catalogue("detectors")
     found = read_table(SensorDesign, design, "sensor", "ready", {*design_names(), *arrays})
     if mtf is not None:
@@ -98,10 +98,12 @@ def show(
             console.print(f"catalogue: sensor.{key} = {value}: {arrays[found.ready].source(key)}")
     for line in derived_values(found).values():
         console.print(f"derived: {line}")
-    case = Case().model_copy(update={"sensor": found})
+    case, name = Case().model_copy(update={"sensor": found}), "quickstart"
+    if design not in (*design_names(), *arrays) and "flight" in read_case(path := find_case(design)):
+        case, name = Case.from_toml(path, allow_outside_paths=True), path.stem
     judged = assess_case(case, ("sensor",))
     print_judgements(console, [one for one in judged if one.name != "car_contrast"])  # which needs a flight
-    console.print(f"in the case quickstart: {describe_niirs(case)}\n{NOT_TRACKING}")
+    console.print(f"in the case {name}: {describe_niirs(case)}")
     if mtf is not None:
         figure = Figure(figsize=(7, 4.5), layout="constrained")
         draw_transfer(figure.subplots(), transfer_curves(sensor.design))

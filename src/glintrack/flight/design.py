@@ -10,7 +10,7 @@ from glintrack.core.designs import Design
 from glintrack.core.schema import EARTH_RADIUS_M
 from glintrack.io.untrusted import resolve_path
 
-MAX_ALTITUDE_M = 20_000.0
+MIN_ALTITUDE_M, MAX_ALTITUDE_M = 200.0, 20_000.0
 _EARTH_GM = 3.986004e14  # m³ s⁻² (IERS 2010)
 
 
@@ -24,7 +24,7 @@ class FlightDesign(Design):
 
     kind: Literal["orbit", "racetrack", "straight", "waypoints"] = "orbit"
     """Shape of the path."""
-    altitude_m: float = Field(default=1928.0, ge=200, le=MAX_ALTITUDE_M)
+    altitude_m: float = Field(default=1928.0, ge=MIN_ALTITUDE_M, le=MAX_ALTITUDE_M)
     """Height of the lens above the stare point, up to the highest of atmosphere.altitudes_m."""
     off_nadir_deg: float = Field(default=50.0, ge=0, le=70)
     """Angle of the line of sight from nadir at the viewpoint."""
@@ -61,7 +61,15 @@ class FlightDesign(Design):
     @field_validator("altitude_m", mode="before")
     @classmethod
     def _refuse_orbits(cls, value: Any) -> Any:
-        """Say what to do about an altitude that only satellites have."""
+        """Say what to do about an altitude that only satellites or low drones have."""
+        if isinstance(value, (int, float)) and 0 < value < MIN_ALTITUDE_M:
+            scale = MIN_ALTITUDE_M / value
+            units = " If it is in km, write it in m." if value <= MAX_ALTITUDE_M / 1000 else ""
+            raise ValueError(
+                f"`flight.altitude_m` must be at least {MIN_ALTITUDE_M:g} m; got {value:g} m.{units} "
+                "Lower views are outside the model's range. To approximate the sampling of one, fly at "
+                f"{MIN_ALTITUDE_M:g} m with `sensor.focal_length_mm` × {scale:.3g} (docs/howto/my_camera.md)."
+            )
         if isinstance(value, (int, float)) and MAX_ALTITUDE_M < value < 1e8:
             scale, radius_m = 10_000 / value, EARTH_RADIUS_M + value
             ground_m_s = math.sqrt(_EARTH_GM / radius_m) * EARTH_RADIUS_M / radius_m

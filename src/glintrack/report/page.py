@@ -18,7 +18,7 @@ from markupsafe import Markup, escape
 
 from glintrack.bounds import STAGE_LABELS, STAGES_NOTE
 from glintrack.case.design import Case
-from glintrack.case.niirs import NOT_TRACKING, describe_niirs
+from glintrack.case.niirs import describe_niirs
 from glintrack.case.packaged import find_case, find_packaged_case
 from glintrack.report.page_data import budget_bars, page_data, plan
 from glintrack.results.headline import headline
@@ -236,9 +236,9 @@ def _base_case(case: Case | None, base: str | None) -> tuple[str, Case]:
 
 
 def _niirs(case: Case) -> list[Markup]:
-    """Sentences about NIIRS; none if a file that the sensor names is not here."""
+    """Sentence about NIIRS; none if a file that the sensor names is not here."""
     with contextlib.suppress(OSError, ValueError):
-        return [in_code(f"{describe_niirs(case)}."), in_code(NOT_TRACKING)]
+        return [in_code(f"{describe_niirs(case)}.")]
     return []
 
 
