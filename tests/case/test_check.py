@@ -194,8 +194,7 @@ def test_the_advice_for_a_drone_is_to_fly_higher_and_contradicts_nothing():
     text = conclude(DRONE, found)
     assert "limited by footprint across, footprint along, time of a fast car in view" in text
     assert "Change `flight.altitude_m` from 300 to 960 m" in text
-    limits = [one for one in found if one.group != "tracker"]
-    asked = {key for one in limits for key in one.keys}
+    asked = {key for one in found for key in one.keys}
     assert not {key for key in asked if "+-".replace(key[0], "") + key[1:] in asked}
     higher = DRONE.replace({"flight.altitude_m": 960.0})
     assert not any(one.rank for one in assess_case(higher, ("view", "sensor", "motion")))

@@ -23,17 +23,7 @@ class Change(NamedTuple):
 
 
 def conclude(case: Case, judged: Sequence[Judgement], fastest_m_s: float = CITY_SPEED_M_S) -> str:
-    """Name what limits a design and the keys to change, in a few sentences.
-
-    Parameters
-    ----------
-    case
-        The design.
-    judged
-        Its judgements, from `assess_case`.
-    fastest_m_s
-        Speed of its fastest vehicles. [m s⁻¹]
-    """
+    """Name what limits a judged design and the keys to change; arguments as of and from `assess_case`."""
     sentences = ["no quantity of the design limits tracking"]
     if limits := _limits(judged):
         limited = f"it is limited by {_join(one.label for one in limits)}"

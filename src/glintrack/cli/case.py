@@ -109,8 +109,9 @@ def check(
 
 def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
     """Print a table of judgements, and below it the reasons of those that are not good."""
+    value = "value, frame" if any(one.view for one in judgements) else "value"
     rows = [(one.label, f"{one.text} {one.view}".strip(), one.answer, one.good) for one in judgements]
-    console.print(make_table(None, ("quantity", "value", "judgement", "good is"), rows, left=4))
+    console.print(make_table(None, ("quantity", value, "judgement", "good is"), rows, left=4))
     for one in judgements:
         if one.reason:
             console.print(f"{one.answer}{f' ({one.view} frame)' if one.view else ''}: {one.reason}")
