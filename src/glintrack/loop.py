@@ -149,7 +149,7 @@ def _start_trackers(
 
 @dataclass(frozen=True)
 class RenderedFrame:
-    """A frame at the lens. It does not depend on the trackers, so it is rendered ahead.
+    """A traced frame. It does not depend on the trackers, so it is traced ahead.
 
     Parameters
     ----------
@@ -170,9 +170,9 @@ class RenderedFrame:
 def _render(
     scenario: Scenario, hits_cache: FrameCache | None, clock: Stopwatch, time_s: float
 ) -> RenderedFrame:
-    """Trace the frame of one time, and shade it for the sensor's channels."""
+    """Trace the frame of one time; it is shaded at the first use of its light."""
     clock.start()
-    city, observer, channels = scenario.city, scenario.observer, scenario.sensor.channels
+    city, observer = scenario.city, scenario.observer
     pose, snapshot = scenario.flight.pose(time_s), city.at(time_s)
     clock.lap("scene")
     observe = partial(observer.observe, snapshot, pose)
@@ -181,10 +181,7 @@ def _render(
     truth = with_visibility(city.truth(time_s), snapshot.vehicle_id[snapshot.fixed :], traced.seen)
     truth, area = scenario.area.mark(truth, city.terrain, scenario.sensor.camera, pose)
     clock.lap("truth")
-    light = keep_frames(observer.radiance(traced.hits))
-    light(channels)
-    clock.lap("shade")
-    return RenderedFrame(time_s, pose, traced.hits, truth, area, light)
+    return RenderedFrame(time_s, pose, traced.hits, truth, area, keep_frames(observer.radiance(traced.hits)))
 
 
 def _expose(
@@ -232,6 +229,8 @@ def _process_frame(
     """
     case, city, observer = run.scenario.case, run.scenario.city, run.scenario.observer
     clock, time_s = run.clock, rendered.time_s
+    rendered.light(sensor.channels)  # here and not ahead: either thread has about half of the work
+    clock.lap("shade")
     true_frame = _expose(run.scenario, rendered, sensor, navigation_error)
     pose, truth = true_frame.reported_pose, true_frame.truth
     readout = read_out(true_frame.planes, sensor, frame_rngs(case.seed, index).noise)  # of all channels

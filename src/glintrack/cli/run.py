@@ -63,7 +63,7 @@ from glintrack.scene.read.sumo import sumo_home
 
 app, warm_up_app = command_app(), command_app()
 
-_STAGES = {"light": "rendering (waiting for it)", "callback": "loss budget, images"}
+_STAGES = {"light": "tracing (waiting for it)", "callback": "loss budget, images"}
 _SCORES = {
     "tracked_per_km2": "per km²",
     "completeness": "moving",

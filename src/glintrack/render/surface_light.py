@@ -121,7 +121,7 @@ def _fill_factor(begin, stop, seen, cell, table, boxes, first, sky, out):
             out[r] = np.uint8(255.0 * (1.0 - lost / total) + 0.5)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _next_box(boxes, entry, px, py, pz):
     """Find the first vehicle within reach that is listed from an entry on; −1 for none."""
     while boxes.listed[entry] >= 0:
@@ -137,7 +137,7 @@ def _next_box(boxes, entry, px, py, pz):
     return -1
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _blocks(boxes, entry, px, py, pz, dx, dy, dz):
     """Return True if a ray meets one of the boxes listed from an entry on."""
     while boxes.listed[entry] >= 0:

@@ -64,15 +64,18 @@ class Samples(NamedTuple):
 def _merge_rays(
     elements: int, direction: Float[Array, "ray 3"], seen: SurfaceHits, light: Array, is_smooth: Array
 ) -> Samples:
-    """Merge the rays of some elements to samples; ``is_smooth`` are the materials with mirrored rays."""
+    """Merge the rays of some elements to samples, which take the place of the rays in their arrays.
+
+    ``is_smooth`` are the materials with mirrored rays.
+    """
     rays = len(direction)
     out = Samples(
         count=np.zeros(elements, np.int64),
         rays=np.empty(rays, np.float32),
-        sun_visible=light.copy(),
+        sun_visible=light,
         is_smooth=np.empty(rays, np.bool_),
         direction=direction,
-        **{name: getattr(seen, name).copy() for name in SurfaceHits._fields if name != "sun_cosine"},
+        **{name: getattr(seen, name) for name in SurfaceHits._fields if name != "sun_cosine"},
     )
     samples = _merge(rays // max(elements, 1), seen, is_smooth, out)
     return Samples(out.count, *(values[:samples] for values in out[1:]))

@@ -154,7 +154,7 @@ def project_spectra(
     of_sky, of_bounce = np.split(of_irradiance, [len(sky.sky_spectrum)])
     lights = np.concatenate([sky.sun_irradiance[None], around[None], diffuse.T @ by_component])
     taken = (weights @ sky.sky_spectrum.T).reshape(*shape, -1)
-    of_spectrum, of_map = _compress(taken, np.abs(sky.sky_map).max(axis=(0, 1, 3)))
+    of_spectrum, of_map = _compress(taken, np.abs(sky.sky_map).max(axis=(0, 1)).max(axis=1))
     light = np.concatenate([sky.sun_irradiance[None], around[None] / np.pi, of_spectrum.T @ sky.sky_spectrum])
     group, terms = _groups(surfaces)
     path_grid = frame_grid(hits, _PATH_SPACING_RAD)
