@@ -125,7 +125,7 @@ def run(
         if of := [f"{one.label} {one.text}" for one in judged if one.answer == answer]:
             console.print(f"{answer}: {', '.join(of)} (why: glintrack case check)")
     console.print(describe_window(design))
-    console.print(describe_time(design))
+    console.print(describe_time(design) + ("" if is_complete() else ". Kernels are compiled first, once"))
     warnings.filterwarnings("ignore", "window: ")  # which is said already
     if fit_window(design) is not design:
         sumo_home()  # simulates the traffic of the larger window: say before any compilation if it is missing
