@@ -101,12 +101,10 @@ def describe_window(case: Case) -> str:
     if scene.uses_mesh_window:
         return "window: that of the mesh"
     own, size = (" m × ".join(f"{side:,.0f}" for side in one.size_m) + " m" for one in (case.scene, scene))
+    grown = f"to the ground in the frame, {size} (`scene.width_m` and `scene.height_m` fix it)"
     text = f"window: {size} of the city {name}"
     if fitted is not case:
-        text = (
-            f"window: grows from {own} of the city {name} to the ground in the frame, {size} "
-            "(`scene.width_m` and `scene.height_m` fix it)"
-        )
+        text = f"window: grows from {own} of the city {name} {grown}"
     if case.flight.kind != "waypoints":
         kind = scored_area(fitted, scene.extent_m, *_sight(case)).kind
         text += f". Vehicles in the {kind} are scored"

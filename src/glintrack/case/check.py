@@ -119,7 +119,13 @@ def assess_case(
     found |= {name: [_judge(name, limits[name], value)] for name, value in others.items()}
     judged = [_worst(found[name], limits[name]) for name in limits if name in found]
     if "jitter_rms_urad" not in case.flight.model_fields_set:
-        judged = [_without_jitter(one) for one in judged]
+        reason = "the line of sight is simulated without jitter (`flight.jitter_rms_urad`)"
+        judged = [
+            replace(one, answer="not stated", reason=reason)
+            if (one.name, one.answer) == ("platform_blur_elements", "good")
+            else one
+            for one in judged
+        ]
     return _add_remedies(judged)
 
 
@@ -166,14 +172,6 @@ def _worst(judged: Sequence[Judgement], limits: Mapping[str, Any]) -> Judgement:
     worst = max(judged, key=lambda one: (one.rank, excess(one)))
     same = all(math.isclose(one.value, worst.value, rel_tol=0.01) for one in judged)
     return replace(worst, view="") if same else worst
-
-
-def _without_jitter(one: Judgement) -> Judgement:
-    """Platform motion of a case that does not state its jitter."""
-    if one.name != "platform_blur_elements" or one.answer != "good":
-        return one
-    reason = "the line of sight is simulated without jitter (`flight.jitter_rms_urad`)"
-    return replace(one, answer="not stated", reason=reason)
 
 
 def _add_remedies(judged: Sequence[Judgement]) -> list[Judgement]:

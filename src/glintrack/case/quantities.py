@@ -278,32 +278,26 @@ def estimate_cpu_s(case: Case) -> float:
     return BUILD_S + frame_s * case.flight.frames + budget_cpu_s(case)
 
 
-def run_cpu_s(case: Case) -> float:
-    """Rough processor time of a flight, and of an atmosphere that is not solved yet. [s]"""
-    solved = is_solved(case.atmosphere)
-    return estimate_cpu_s(case) + (not solved) * SOLVE_S_PER_WAVELENGTH * len(case.atmosphere.wavelength_um)
-
-
-def describe_time(case: Case) -> str:
-    """Line with the expected time of a run, and the share of it that the loss budget takes."""
-    cpu_s = run_cpu_s(case)
-    text = f"expected time on this machine: {format_duration(cpu_s / (os.cpu_count() or 1))}"
-    if not budget_cpu_s(case):
-        return text
-    return (
-        f"{text}, of which the loss budget takes {100 * budget_cpu_s(case) / cpu_s:.0f} % "
-        f"(`bound.every` = {case.bound.every}; larger is faster, 0 leaves it out)"
-    )
-
-
 def cost_quantities(case: Case) -> dict[str, float]:
     """Rough wall time and share of this machine's memory, by rates of flights of quickstart. [s, 1]"""
-    sensor, found = case.sensor, {"run_s": run_cpu_s(case) / (os.cpu_count() or 1)}
+    sensor = case.sensor
+    cpu_s = estimate_cpu_s(case)
+    if not is_solved(case.atmosphere):
+        cpu_s += SOLVE_S_PER_WAVELENGTH * len(case.atmosphere.wavelength_um)
+    found = {"run_s": cpu_s / (os.cpu_count() or 1)}
     per_element = _BYTES_PER_ELEMENT + _BYTES_PER_RAY * sensor.oversampling**2
     total = machine_memory_bytes()
     if total:
         found["memory_share"] = (_BASE_BYTES + per_element * sensor.rows * sensor.columns) / total
     return found
+
+
+def describe_time(case: Case) -> str:
+    """Line with the expected time of a run, and the share of it that the loss budget takes."""
+    run_s, budget_s = cost_quantities(case)["run_s"], budget_cpu_s(case) / (os.cpu_count() or 1)
+    share = f", of which the loss budget takes {100 * budget_s / run_s:.0f} % (`bound.every` = "
+    share += f"{case.bound.every}; larger is faster, 0 leaves it out)"
+    return f"expected time on this machine: {format_duration(run_s)}{share if budget_s else ''}"
 
 
 def machine_memory_bytes() -> int | None:
