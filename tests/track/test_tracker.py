@@ -266,3 +266,25 @@ def test_bad_designs_are_refused():
         plain_tracker().replace({"detect.dolp_treshold": 0.3})
     with pytest.raises(ValueError, match=r"`initiation.confirm_score` must be"):
         plain_tracker().replace({"initiation.confirm_score": float("nan")})
+
+
+def spread_after(rate_hz, correlation_s):
+    """Standard deviation of a position after 4 s [m], and number of tracks after a jump of 2.5 m."""
+    state, area = track.start(plain_tracker()), track.Grid((40, 40), (-300.0, 300.0), 15.0)
+    count = round(4 * rate_hz)
+    for k in range(count):
+        jump_m = 2.5 * (k == count - 1)
+        found = track.Detections(
+            np.array([[8.0 * k / rate_hz + jump_m, 0.0]]), 0.25 * np.eye(2)[None], np.ones(1), np.ones(1),
+            correlation_s=correlation_s,
+        )  # fmt: skip
+        state = track.step_detections(state, found, k / rate_hz, area)
+    return float(np.sqrt(state.targets.covariance[0, 0, 0])), len(state.targets)
+
+
+def test_correlated_errors_do_not_average_out_at_a_high_frame_rate():
+    """A vehicle that shows its other end is another one to a tracker that trusts its average."""
+    assert spread_after(30.0, 0.0) == (pytest.approx(0.15, abs=0.1), 2)
+    slow, (fast, tracks) = spread_after(2.0, 0.5)[0], spread_after(30.0, 0.5)
+    assert tracks == 1
+    assert fast == pytest.approx(slow, rel=0.5)

@@ -10,7 +10,8 @@ RADIANCE = "W m-2 sr-1 um-1"
 COUNT = "count"  # of an uncalibrated camera
 # tracking channels, as people read them
 CHANNEL_WORDS = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
-TRACK_STATUSES = ("measured", "coasted", "tentative")  # tentative: reported later, once confirmed
+# stopped: coasted, and standing; tentative: reported later, once confirmed
+TRACK_STATUSES = ("measured", "coasted", "stopped", "tentative")
 IRRADIANCE = "W m-2 um-1"
 EARTH_RADIUS_M = 6_371_000.0  # mean
 MOVING_SPEED_M_S = 1.0  # a vehicle of the truth at least this fast is moving

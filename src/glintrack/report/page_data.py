@@ -179,7 +179,9 @@ def _track_rows(rows: xr.Dataset, times_s: Array, middle: tuple) -> dict:
     rows, per = _in_time(rows, times_s)
     nothing = np.full(rows.sizes["row"], -1)
     get = {k: rows[k].values if k in rows else nothing for k in ("vehicle_id", "valid", "false", "status")}
-    flags = (get["status"] == "coasted") * 1 + (get["valid"] > 0) * 2 + (get["false"] > 0) * 4
+    flags = (
+        np.isin(get["status"], ["coasted", "stopped"]) * 1 + (get["valid"] > 0) * 2 + (get["false"] > 0) * 4
+    )
     return {
         "count": rows.sizes["row"],
         "per": per,

@@ -16,10 +16,12 @@ from glintrack.track.detect.detector import Detector, detector_of
 from glintrack.track.detect.frame import Frame, Grid, grid_of, in_view
 from glintrack.track.existence import Duplicates, no_duplicates
 from glintrack.track.flow import Flow, no_flow
-from glintrack.track.initiation import Targets
+from glintrack.track.initiation import Targets, is_stopped
 from glintrack.track.motion import (
     COAST_DAMPING_S,
     MAX_COAST_SIGMA_M,
+    MAX_STOPPED_SIGMA_M,
+    STOPPED_DAMPING_S,
     Motion,
     motion_model,
     predict_modes,
@@ -192,6 +194,8 @@ def prepare_detections(state: TrackerState, found: Detections, time_s: float, gr
     interval_s = _interval(state, time_s)
     motion = motion_model(state.design, interval_s)
     found = take(detections.check(found), order(found))
+    if 0 < interval_s < found.correlation_s:
+        found = replace(found, covariance=found.covariance * (found.correlation_s / interval_s))
     targets = _predict_state(state, motion)
     least_m2 = state.design.association.clutter_density_m2
     return FrameDetections(
@@ -219,5 +223,7 @@ def _predict_state(state: TrackerState, motion: Motion) -> Targets:
 def predict_targets(targets: Targets, motion: Motion) -> Targets:
     """Predict targets over an interval."""
     damped = (targets.misses > 0) & (motion.stopped < 0)  # with a stopped mode no damping is needed
-    damping_s = np.where(damped, COAST_DAMPING_S, np.inf)
-    return targets.with_modes(predict_modes(targets.modes, motion, damping_s, MAX_COAST_SIGMA_M))
+    stopped = damped & is_stopped(targets)
+    damping_s = np.where(damped, np.where(stopped, STOPPED_DAMPING_S, COAST_DAMPING_S), np.inf)
+    widest_m = np.where(stopped, MAX_STOPPED_SIGMA_M, MAX_COAST_SIGMA_M)
+    return targets.with_modes(predict_modes(targets.modes, motion, damping_s, widest_m))

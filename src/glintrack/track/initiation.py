@@ -17,6 +17,7 @@ from glintrack.track.motion import COAST_DAMPING_S, Modes, combine_modes, initia
 
 TENTATIVE_MISSES = 1  # consecutive frames that an unconfirmed track may miss
 STOPPED_SPEED_M_S = 1.5  # a slower track stands, with one mode of motion
+STOPPED_TRAVEL_M = 15.0  # a track that stands nearer to its first position may be no vehicle
 RECENT_RATIO_S = 1.2  # time constant of a track's mean likelihood ratio
 MISSED_NAT = -3.0  # likelihood ratio of a frame without a detection
 DUPLICATE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
@@ -173,18 +174,17 @@ def update_status(
         & (np.hypot(*(targets.position - targets.first_position).T) >= rules.confirm_travel_m)
         & (speed >= rules.confirm_speed_m_s)
     )
+    stands = standing_probability(targets, seen.motion.stopped)
     if ratio is not None:
         change = np.append(ratio, MISSED_NAT)[assigned] - recent_ratio
+        # change detection forgets a vehicle that stands: this is no evidence against it
+        change = np.where(is_stopped(targets), np.maximum(change, 0.0), change)
         recent_ratio = recent_ratio - math.expm1(-interval_s / RECENT_RATIO_S) * change
     frames_since_query = targets.frames_since_query
     if design.query.at == "detection":  # else `query_predictions` knows the queried targets
         frames_since_query = np.where(spectra > targets.spectra, 0, frames_since_query + 1)
     # quality fills while a target is measured and drains while it is not: one false detection at the position
     # of a coasting track buys it a short time
-    if seen.motion.stopped >= 0:
-        stands = targets.mode_probability[:, seen.motion.stopped]
-    else:  # damping has slowed a coasting target: its speed when last measured counts
-        stands = (speed * np.exp(targets.unseen_s / COAST_DAMPING_S) < STOPPED_SPEED_M_S).astype(float)
     drain = interval_s * (
         stands / max(rules.stopped_coast_s, 1e-9) + (1 - stands) / max(design.initiation.coast_s, 1e-9)
     )
@@ -197,6 +197,22 @@ def update_status(
         misses=np.where(hit, 0, targets.misses + 1), feature=feature, spectra=spectra,
         recent_ratio=recent_ratio, quality=np.where(targets.confirmed, quality, np.maximum(quality, 0.0)),
     )  # fmt: skip
+
+
+def standing_probability(targets: Targets, stopped: int) -> Float[Array, "target"]:
+    """Probability that each target stands, given the index of that mode of motion (−1 for none). [1]"""
+    if stopped >= 0:
+        return targets.mode_probability[:, stopped]
+    # damping has slowed a coasting target: its speed when last measured counts
+    speed = np.hypot(*targets.mean[:, 2:].T) * np.exp(targets.unseen_s / COAST_DAMPING_S)
+    return (speed < STOPPED_SPEED_M_S).astype(float)
+
+
+def is_stopped(targets: Targets) -> Bool[Array, "target"]:
+    """Return True for vehicles that probably stand after a drive."""
+    stopped = targets.mode_probability.shape[1] - 1 or -1
+    travel_m = np.hypot(*(targets.position - targets.first_position).T)
+    return (standing_probability(targets, stopped) > 0.5) & (travel_m >= STOPPED_TRAVEL_M) & targets.confirmed
 
 
 def select_unassigned(

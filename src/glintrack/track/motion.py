@@ -26,7 +26,9 @@ TURN_RATE_RAD_S = math.radians(20.0)
 STOPPING_SPEED_M_S = 1.0
 START_SPEED_M_S = 1.5  # standard deviation of each speed component of a vehicle that drives off
 COAST_DAMPING_S = 3.0  # time in which the speed of a coasting track decays, with one mode
+STOPPED_DAMPING_S = 0.3  # the same of a track that stands
 MAX_COAST_SIGMA_M = 20.0  # standard deviation of a position beyond which coasting lets it grow no more
+MAX_STOPPED_SIGMA_M = 2.0  # the same of a track that stands, so that it takes no passing vehicle
 STOPPED_DRIFT_M2_S = 0.02  # the centroid of a standing vehicle wanders by its shadow
 
 
@@ -148,7 +150,10 @@ def initial_modes(
 
 
 def predict_modes(
-    modes: Modes, motion: Motion, damping_s: Float[Array, "track"], widest_m: float = math.inf
+    modes: Modes,
+    motion: Motion,
+    damping_s: Float[Array, "track"],
+    widest_m: Float[Array, "track"] | float = math.inf,
 ) -> Modes:
     """Predict the state after one interval.
 
@@ -161,7 +166,7 @@ def predict_modes(
     damping_s
         Time in which each target's speed decays; infinite for no decay. [s]
     widest_m
-        Standard deviation of a position beyond which it grows no more: a car is on a street nearby. [m]
+        Standard deviation of each position beyond which it grows no more: a car is on a street nearby. [m]
     """
     mixed, dt = _mix_modes(modes, motion), float(motion.reach[0, 0, 0])
     damping_s = np.asarray(damping_s, float)
@@ -177,7 +182,8 @@ def predict_modes(
     covariance = f @ mixed.covariance @ f.swapaxes(-1, -2) + motion.noise
     wide = 0.5 * (covariance[..., 0, 0] + covariance[..., 1, 1])
     # all of it is scaled alike: the gain of the next measurement stays what it was
-    shrink = np.where(wide > widest_m**2, widest_m**2 / wide, 1.0)[..., None, None]
+    widest_m2 = np.square(np.broadcast_to(widest_m, len(wide)))[:, None]
+    shrink = np.where(wide > widest_m2, widest_m2 / wide, 1.0)[..., None, None]
     return Modes(mean, _symmetric(covariance * shrink), mixed.probability)
 
 

@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 
 from glintrack.core import schema
 from glintrack.core.arrays import Array
+from glintrack.core.schema import MOVING_SPEED_M_S
 from glintrack.track import existence
 from glintrack.track.calibration import read_calibration
 from glintrack.track.design import TrackDesign
@@ -25,7 +26,7 @@ from glintrack.track.initiation import Targets, find_rows, select
 
 MAX_LOG_ODDS = 6.0  # a lost track has its negative
 MAX_BACK_S = 1.5  # maximum extrapolation before the first measurement
-MIN_BACK_HITS = 2  # minimum measurements for an extrapolation
+MIN_BACK_HITS, MIN_BACK_S = 2, 0.5  # minimum measurements for an extrapolation, and time since the first
 DUPLICATE_M = 4.0  # an extrapolated track nearer to a candidate is the same vehicle
 HISTORY_DUPLICATE_M = 3.0  # from a position already reported at that time: the same vehicle
 _ROUNDING_S = 1e-6
@@ -50,11 +51,13 @@ def tracks_to_dataset(
     mean, covariance
         State ``[east, north, east speed, north speed]``. [m, m s⁻¹]
     coasted
-        Mask of the tracks that were not measured.
+        Mask of the tracks that were not measured. Their status is ``stopped`` below 1 m/s, else ``coasted``.
     tentative
         The tracks were confirmed only later: their status is ``tentative``.
     """
-    status = np.full(len(ident), "tentative") if tentative else np.where(coasted, "coasted", "measured")
+    stopped = np.hypot(*mean[:, 2:].T) < MOVING_SPEED_M_S
+    unmeasured = np.where(stopped, "stopped", "coasted")
+    status = np.full(len(ident), "tentative") if tentative else np.where(coasted, unmeasured, "measured")
     columns = {
         "east_m": (mean[:, 0], "m"),
         "north_m": (mean[:, 1], "m"),
@@ -284,6 +287,7 @@ def _extrapolate_tracks(epochs: Sequence[PendingEpoch]) -> ReportCandidates:
         [odds, odds, odds, hits / len(later), none, none, none, none, ones, before_s], axis=-1
     )
     sure = (hits >= MIN_BACK_HITS) & (before_s <= MAX_BACK_S + _ROUNDING_S)
+    sure &= last.time_s - first_s >= MIN_BACK_S - _ROUNDING_S
     return ReportCandidates(targets.id, mean, targets.covariance, ones > 0, features).select(sure)
 
 

@@ -45,13 +45,14 @@ def frames(
     rows=((), ()),
     roof_m=0.0,
     fine=1,
+    travel=lambda t: SPEED_M_S * t,
 ):
     """Frames at 2 Hz of an aircraft that passes at 50 m/s, 50° off nadir.
 
     ``turn`` turns the whole world about the vertical, counter-clockwise [rad]; ``mirror`` swaps east and
     west; ``rows`` are first easts and norths of more vehicles [m], one at each crossing; what lies north of
     the line of the vehicle is as high as ``roof_m``; an element of `CAMERA` is split into ``fine`` × ``fine``
-    with as much light and noise in all.
+    with as much light and noise in all; ``travel`` is the way of the vehicles after a time [m].
     """
     camera = replace(
         CAMERA, pitch_m=CAMERA.pitch_m / fine, rows=fine * CAMERA.rows, columns=fine * CAMERA.columns,
@@ -74,7 +75,7 @@ def frames(
             light = np.where(points[..., 1] > 9.0, roof, light)
         places = [(east, north) for north in rows[1] for east in rows[0]] + [(-25.0, 5.0)] * vehicle
         for east, north in places:
-            ahead, aside = np.abs(points[..., 0] - east - SPEED_M_S * t), np.abs(points[..., 1] - north)
+            ahead, aside = np.abs(points[..., 0] - east - travel(t)), np.abs(points[..., 1] - north)
             light = light + contrast * ((ahead < 2.3) & (aside < 1.0))
         expected = ELECTRONS / fine**2 * light
         sigma = np.sqrt(expected + (DARK_E / fine) ** 2)

@@ -146,7 +146,8 @@ def track_kinds(rows: xr.Dataset) -> Array:
         name: rows[name].values > 0 if name in rows else np.full(count, name == "valid")
         for name in ("valid", "false")
     }
-    coasted = rows["status"].values == "coasted" if "status" in rows else np.zeros(count, bool)
+    unmeasured = ["coasted", "stopped"]
+    coasted = np.isin(rows["status"], unmeasured) if "status" in rows else np.zeros(count, bool)
     kinds = np.where(flags["valid"], np.where(coasted, "coast", "true"), "other")
     return np.where(flags["false"], "false", kinds)
 

@@ -35,6 +35,9 @@ class Detections:
     velocity_share, velocity_most_m_s
         Share of the velocities that are right [1]; the others are uniform up to this speed [m s⁻¹]. With a
         share below 1 a velocity is evidence in the association only.
+    correlation_s
+        Time over which the errors of a vehicle's positions are correlated. At shorter intervals the tracker
+        enlarges the covariances in proportion, since such detections carry no independent position. [s]
     earlier_s, earlier
         Times of the earlier frames in which the detector found the detections too [s], and positions: east
         and north, NaN where it did not find one. [m]
@@ -52,6 +55,7 @@ class Detections:
     velocity_sigma_m_s: float = 0.0
     velocity_share: float = 1.0
     velocity_most_m_s: float = 0.0
+    correlation_s: float = 0.0
     earlier_s: tuple[float, ...] = ()
     earlier: Float[Array, "detection earlier 2"] | None = None
     detail: Any = None

@@ -57,6 +57,7 @@ MIN_SHARE = 1e-6  # of confirmation: without it all readings have equal weights
 MASK_RATIO, MASK_REACH_M, MASK_S = 1.5, 3.0, 2.0
 RIGHT_SHARE = 0.7  # share of the best motions that are a vehicle's own
 SPEED_SIGMA_M_S = 2.0  # standard deviation of those
+CORRELATION_S = 0.5  # in which a vehicle shows the same side and covers the same ground, and errors last
 
 
 @dataclass(frozen=True)
@@ -345,5 +346,5 @@ def _detections(searched: SearchedMosaic, frame: Frame, displacement_m: tuple[fl
         np.full(n, math.sqrt(4 / math.pi * WINDOW_M[0] * WINDOW_M[1])), np.exp(np.clip(ratio, -20, 20)),
         log_likelihood_ratio=detection_ratio(frame.channel, ratio), displacement_m=displacement_m,
         velocity=searched.peaks.velocity[likely], velocity_sigma_m_s=SPEED_SIGMA_M_S,
-        velocity_share=RIGHT_SHARE, detail=searched,
+        velocity_share=RIGHT_SHARE, correlation_s=CORRELATION_S, detail=searched,
     )  # fmt: skip
