@@ -33,6 +33,7 @@ from glintrack.track.files import (
     TrackedRows,
     as_rows,
     frames_design,
+    select_lasting_tracks,
     strict_design,
     track_detections,
     track_frames,
@@ -155,7 +156,8 @@ def _track_frames(
         cell = float(abs(x[1] - x[0])) if len(x) > 1 else 1.0
         edges_m = x[0] - cell / 2, y[-1] - cell / 2, x[-1] + cell / 2, y[0] + cell / 2
         place = replace(place, area_m=Extent(*map(float, edges_m)), cell_m=cell)
-    return as_rows(reports), place
+    rows = as_rows(reports)
+    return select_lasting_tracks(rows, times_s[-1]) if tracker.reporting.history else rows, place
 
 
 def _check_unused(of: str, source: Path, **options: object) -> None:

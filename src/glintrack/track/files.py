@@ -19,6 +19,7 @@ from glintrack.track.tracker import start, step, step_detections
 CLUTTER_CELL_M = 15.0
 MAX_CELLS = 400  # along a side of the area: memory stays small for any coordinates
 MARGIN_M = 50.0  # beyond the outermost detections
+_ROUNDING_S = 1e-6
 
 # Detections of another program are vehicles, not change: parallax does not matter, and stopped vehicles may
 # be detected.
@@ -38,6 +39,7 @@ DETECTIONS_DESIGN = TrackDesign().replace(
 )
 
 MIN_FRAMES = 3  # of the detector below
+MIN_DURATION_S = 1.5  # of a track in frames: the lag after which its first position is final
 
 # Change detection in rectified frames gives no likelihood ratios that the existence model knows.
 RECTIFIED_DESIGN = TrackDesign().replace(
@@ -196,6 +198,28 @@ def as_rows(reports: Iterable[tuple[float, xr.Dataset]]) -> xr.Dataset:
         return table
     # earlier positions are reported later
     return table.isel(row=np.argsort(table["time_s"].values, kind="stable"))
+
+
+def select_lasting_tracks(rows: xr.Dataset, last_s: float) -> xr.Dataset:
+    """Select the tracks that last `MIN_DURATION_S`, or that the last frame still shows.
+
+    A shorter track is most often a second one on a vehicle, or clutter.
+
+    Parameters
+    ----------
+    rows
+        From `as_rows`.
+    last_s
+        Time of the last frame. [s]
+    """
+    if not rows.sizes.get("row"):
+        return rows
+    ids, index = np.unique(rows["track_id"].values, return_inverse=True)
+    first_s, end_s = np.full(len(ids), np.inf), np.full(len(ids), -np.inf)
+    np.minimum.at(first_s, index, rows["time_s"].values)
+    np.maximum.at(end_s, index, rows["time_s"].values)
+    lasts = (end_s - first_s >= MIN_DURATION_S - _ROUNDING_S) | (end_s >= last_s - _ROUNDING_S)
+    return rows.isel(row=lasts[index])
 
 
 def surroundings(position: Float[Array, "row 2"]) -> Extent:

@@ -2,16 +2,17 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy import ndimage
 from scipy.stats import norm
 
 from glintrack import track
 from glintrack.track.design import DetectDesign
 from glintrack.track.detect import median_motion, registration
-from glintrack.track.detect.footprint import footprints, window_means
+from glintrack.track.detect.footprint import footprints, local_quantile, window_means
 from glintrack.track.detect.median_motion import MedianMotionDetector
 from glintrack.track.detect.sliding_median import median_and_spread, standardize_change
-from glintrack.track.files import FRAMES_DESIGN, as_rows, track_frames
+from glintrack.track.files import FRAMES_DESIGN, as_rows, select_lasting_tracks, track_frames
 from tests.plain import plain_tracker
 from tests.track.moving_blobs import image, paint_cars, texture
 
@@ -372,3 +373,30 @@ def test_nothing_is_found_where_the_frame_is_occluded():
         )
     found = state.detections.position[state.detections.contrast >= 1]
     assert len(found) and (found[:, 0] > 90).all()
+
+
+def test_clutter_that_changes_pixels_together_makes_few_candidates():
+    """Noise that is constant in blocks of 4 pixels in half the frame, of the same size in a pixel."""
+    rng, frames = np.random.default_rng(5), []
+    for values in sequence(6, 3, cars=False, shift=0.0):
+        blocks = np.kron(rng.normal(0, 4.0, (SIDE // 4, SIDE // 8)), np.ones((4, 4)))
+        frames.append(np.rint(values + np.hstack([blocks, rng.normal(0, 4.0, blocks.shape)])))
+    found = detect(np.array(frames, np.float32))
+    assert sum(map(len, found)) <= 10  # 59 without the local scale
+
+
+def test_a_local_quantile_is_that_of_its_tile():
+    """Ramps of two scales: the quantile of each tile, at its middle and beyond."""
+    ramp = np.tile(np.linspace(0, 1, 60)[:, None], (1, 120))
+    values = np.where(np.arange(120) < 60, ramp, 10 * ramp)
+    local = local_quantile(values, np.ones(values.shape, bool), 0.75, 60)
+    assert local[30, [0, 29, 90, 119]] == pytest.approx([0.75, 0.75, 7.5, 7.5], rel=0.05)  # of 400 samples
+    assert local[30, 60] == pytest.approx(4.1, rel=0.05)
+
+
+def test_tracks_that_end_early_are_left_out():
+    """Tracks of 0.8 s, of 1.6 s, and one that the last frame still shows."""
+    time_s, ident = np.array([0.0, 0.8, 0.0, 1.6, 3.2, 4.0]), np.array([1, 1, 2, 2, 3, 3])
+    rows = xr.Dataset({"time_s": ("row", time_s), "track_id": ("row", ident)})
+    assert set(select_lasting_tracks(rows, 4.0)["track_id"].values.tolist()) == {2, 3}
+    assert select_lasting_tracks(xr.Dataset(), 4.0).sizes == {}

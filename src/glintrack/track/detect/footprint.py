@@ -4,7 +4,7 @@ import math
 
 import numba as nb
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
@@ -12,6 +12,8 @@ from glintrack.core.parallel import over_rows
 DIRECTIONS = 6
 # row and column offsets and weights of taps, by direction
 Windows = tuple[Int[Array, "direction tap"], Int[Array, "direction tap"], Float[Array, "direction tap"]]
+SAMPLE_STEP = 3  # pixels between those of a quantile
+MIN_SHARE_OF_TILE = 0.25  # that must be known
 _FINE = 5  # parts of a cell's side in which a window's share of it is counted
 
 
@@ -94,6 +96,43 @@ def _means(start, stop, evidence, rows, columns, weights, edge, out):
                     total[j] += weight * shifted[j]
             for j in range(inner):
                 best[j] = max(best[j], total[j])
+
+
+def local_quantile(
+    values: Float[Array, "row column"], known: Bool[Array, "row column"], share: float, side: int
+) -> Float[Array, "row column"]:
+    """Quantile of the known values in square tiles, linear between their middles.
+
+    Parameters
+    ----------
+    values, known
+        Values, and where they count. A tile with few of them takes the median of the others.
+    share
+        Of the values below the quantile, 0 to 1. [1]
+    side
+        Side of a tile. [pixel]
+    """
+    few, few_known = values[::SAMPLE_STEP, ::SAMPLE_STEP], known[::SAMPLE_STEP, ::SAMPLE_STEP]
+    shape = tuple(max(1, round(n / side)) for n in values.shape)
+    row, column = (np.arange(n) * tiles // n for n, tiles in zip(few.shape, shape, strict=True))
+    tile = (row[:, None] * shape[1] + column)[few_known]
+    order = np.lexsort((few[few_known], tile))
+    count = np.bincount(tile, minlength=shape[0] * shape[1])
+    at = np.cumsum(count) - count + (share * count).astype(int)
+    quantile = np.full(len(count), np.nan)
+    enough = count >= MIN_SHARE_OF_TILE * few.size / len(count)
+    if not enough.any():
+        return np.zeros(values.shape)
+    quantile[enough] = few[few_known][order][at[enough]]
+    quantile[~enough] = np.median(quantile[enough])
+    down, across = (_linear_weights(n, tiles) for n, tiles in zip(values.shape, shape, strict=True))
+    return down @ quantile.reshape(shape) @ across.T
+
+
+def _linear_weights(count: int, tiles: int) -> Float[Array, "pixel tile"]:
+    """Weights of linear interpolation between the middles of tiles, constant beyond the outer ones."""
+    at = np.clip((np.arange(count) + 0.5) * tiles / count - 0.5, 0, tiles - 1)
+    return np.maximum(1 - np.abs(at[:, None] - np.arange(tiles)), 0)
 
 
 def peaks(

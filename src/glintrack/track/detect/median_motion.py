@@ -23,7 +23,7 @@ from glintrack.io.times import MAX_STEP_S
 from glintrack.track.design import DetectDesign
 from glintrack.track.detect import registration, sliding_median
 from glintrack.track.detect.detections import Association, Detections, no_detections
-from glintrack.track.detect.footprint import footprints, window_means
+from glintrack.track.detect.footprint import Windows, footprints, local_quantile, window_means
 from glintrack.track.detect.frame import Frame, Grid, grid_of, plane
 from glintrack.track.detect.straight_candidates import StraightCandidates, find_candidates, select_candidates
 
@@ -32,6 +32,8 @@ WINDOW = 6  # frames in a median: more include parallax, fewer a queue
 SPACING_S = 0.35  # between stored frames: at 25 Hz nothing moves from one to the next
 FOOTPRINT_M = (4.6, 2.6)
 CAP = 6.0  # standard deviations: a glint counts as much as a car
+CLUTTER_M = 40.0  # side of the tiles in which the strength of clutter is taken
+CLUTTER_QUANTILE, CLUTTER_STRENGTH = 0.75, 0.45  # and its greatest value for noise of independent pixels
 KERNEL_PX = 2  # half width of the cubic kernel
 AREA_PX = 3  # side of the least area of no data
 BLANK_PX = 7  # a square of zeros of this side is no data
@@ -184,20 +186,50 @@ def _stack_window(past: tuple[PlacedFrame, ...], name: str) -> Float[Array, "fra
 
 def _strength_layers(past: tuple[PlacedFrame, ...], gsd_m: float) -> list[list[Float[Array, "y x"]]]:
     """Strength of bright and of dark changes under the windows, in this frame and two or three before."""
-    windows = footprints(*FOOTPRINT_M, gsd_m)
-    names = list(past[-1].planes)
+    windows, names = footprints(*FOOTPRINT_M, gsd_m), list(past[-1].planes)
     count = min(len(past), FRAMES)
     changes = [np.zeros(past[-1].planes[names[0]].shape, np.float32) for _ in range(count)]
     for name in names:
-        median, spread = sliding_median.median_and_spread(_stack_window(past, name), least=3)
-        slope2 = sliding_median.gradient2(median)
-        floor = _min_step(past[-1].planes[name])
-        for k in range(count):
-            z = sliding_median.standardize_change(
-                past[-1 - k].planes[name], median, spread, slope2, gsd_m, floor
-            )
-            changes[k] += np.clip(np.nan_to_num(z), -CAP, CAP) / math.sqrt(len(names))
+        standardized = standardize_frames(past, name, gsd_m, count)
+        scale = _clutter_scale(standardized[0], windows, gsd_m)
+        for k, z in enumerate(standardized):
+            changes[k] += np.clip(np.nan_to_num(z) / scale, -CAP, CAP) / math.sqrt(len(names))
     return [[window_means(sign * z, windows) for z in changes] for sign in (1, -1)]
+
+
+def _clutter_scale(change: Float[Array, "y x"], windows: Windows, gsd_m: float) -> Float[Array, "y x"]:
+    """Local ratio, at least 1, of the strength under windows to that of independent noise (CFAR). [1]
+
+    Blocks of a compressed image, foliage and parallax change many pixels together, so that a mean over a
+    footprint fluctuates more than the noise of a pixel tells. Vehicles cover too little of a tile to count.
+    """
+    bounded = np.clip(np.nan_to_num(change), -CAP, CAP)
+    strength = np.maximum(window_means(bounded, windows), window_means(-bounded, windows))
+    usual = local_quantile(strength, np.isfinite(change), CLUTTER_QUANTILE, round(CLUTTER_M / gsd_m))
+    return np.maximum(usual / CLUTTER_STRENGTH, 1.0).astype(np.float32)
+
+
+def standardize_frames(
+    past: tuple[PlacedFrame, ...], name: str, gsd_m: float, count: int = 1
+) -> list[Float[Array, "y x"]]:
+    """Change of the last frames against the median of all, the latest first; NaN without data. [1]
+
+    Parameters
+    ----------
+    past
+        Registered frames, the latest last.
+    name
+        Plane that is compared.
+    gsd_m
+        Side of a pixel. [m]
+    count
+        Number of frames.
+    """
+    median, spread = sliding_median.median_and_spread(_stack_window(past, name), least=3)
+    slope2 = sliding_median.gradient2(median)
+    floor = _min_step(past[-1].planes[name])
+    planes = [past[-1 - k].planes[name] for k in range(count)]
+    return [sliding_median.standardize_change(one, median, spread, slope2, gsd_m, floor) for one in planes]
 
 
 def _min_step(values: Float[Array, "y x"]) -> float:

@@ -1,0 +1,148 @@
+"""Frames on one grid with labels of their vehicles, and the matching of positions with these labels."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from jaxtyping import Bool, Float
+from scipy.optimize import linear_sum_assignment
+
+from glintrack.core.arrays import Array
+from glintrack.io.orthoimages import Geotransform, image_of
+
+NEAR_M = 4.0  # from a label: a position is right
+MOVING_M_S = 1.0  # a label that moves slower counts neither way
+ABOUT = 2  # frames before and after, over which a label's speed is taken
+LABEL_COLUMNS = ["frame", "vehicle_id", "asked", "east_m", "north_m"]
+_NEVER = 1e3  # cost of a pair that is not allowed
+
+
+@dataclass(frozen=True)
+class LabelledSequence:
+    """Frames on one grid, whose north-west corner lies at (0, 0), and the labels in them.
+
+    Parameters
+    ----------
+    times_s
+        Time of each frame. [s]
+    frames
+        Counts; NaN where there is no data.
+    gsd_m
+        Side of a pixel. [m]
+    labels
+        A table with `LABEL_COLUMNS`. Labels that are not asked count neither way.
+    areas
+        Masks of ground by name.
+    """
+
+    times_s: Float[Array, "frame"]
+    frames: Float[Array, "frame y x"]
+    gsd_m: float
+    labels: pd.DataFrame
+    areas: dict[str, Bool[Array, "y x"]]
+
+    def images(self) -> Iterator[tuple[float, xr.Dataset]]:
+        """Yield the time and image of each frame, as ``glintrack track`` reads them."""
+        for time_s, counts in zip(self.times_s, self.frames, strict=True):
+            image = image_of({"pan": counts.astype(np.float32)}, Geotransform(0.0, 0.0, self.gsd_m))
+            yield float(time_s), image
+
+    def after(self, first: int) -> "LabelledSequence":
+        """Sequence from a frame on."""
+        labels = self.labels[self.labels["frame"] >= first].assign(frame=lambda of: of["frame"] - first)
+        return replace(self, times_s=self.times_s[first:], frames=self.frames[first:], labels=labels)
+
+    def cells(self, places_m: Float[Array, "n 2"]) -> Array:
+        """Row and column of the pixel at each place."""
+        return np.floor(places_m[:, ::-1] * (-1, 1) / self.gsd_m).astype(int)
+
+    def inside(self, area: str, places_m: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+        """Mask of the places that lie in an area."""
+        cell, last = self.cells(places_m), np.array(self.areas[area].shape) - 1
+        known = ((cell >= 0) & (cell <= last)).all(axis=1)
+        return known & self.areas[area][tuple(np.clip(cell, 0, last).T)]
+
+
+def with_speeds(labels: pd.DataFrame, times_s: Float[Array, "frame"]) -> pd.DataFrame:
+    """Add the column ``speed_m_s`` to labels, of which those that stand are not asked."""
+    speed_m_s = np.zeros(len(labels))
+    frames, places_m = labels["frame"].to_numpy(), labels[["east_m", "north_m"]].to_numpy(float)
+    for index in labels.groupby("vehicle_id").indices.values():
+        frame, place_m = frames[index], places_m[index]
+        for n, k in enumerate(frame):
+            near = np.flatnonzero(np.abs(frame - k) <= ABOUT)[[0, -1]]
+            way_m, passed_s = np.hypot(*np.ptp(place_m[near], axis=0)), np.ptp(times_s[frame[near]])
+            speed_m_s[index[n]] = way_m / passed_s if passed_s > 0 else 0.0
+    return labels.assign(asked=labels["asked"].astype(bool) & (speed_m_s >= MOVING_M_S), speed_m_s=speed_m_s)
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Positions and labels of a sequence after their matching.
+
+    Parameters
+    ----------
+    labels
+        Labels that are asked, in the area, with ``found`` and ``track_id`` of the matched position, −1
+        without one.
+    false
+        Rows of the positions that are false in the area. Others count neither way.
+    """
+
+    labels: pd.DataFrame
+    false: pd.DataFrame
+
+    @property
+    def f1(self) -> float:
+        """Harmonic mean of precision and recall of the positions. [1]"""
+        right = int(self.labels["found"].sum())
+        return 2 * right / max(right + len(self.false) + len(self.labels), 1)
+
+    @property
+    def false_tracks(self) -> pd.DataFrame:
+        """First false position of each track with more false positions than right ones."""
+        right = self.labels["track_id"].value_counts()
+        wrong = self.false["track_id"].value_counts()
+        ids = wrong.index[wrong > right.reindex(wrong.index, fill_value=0)]
+        return self.false[self.false["track_id"].isin(ids)].drop_duplicates("track_id")
+
+
+def match_positions(sequence: LabelledSequence, rows: pd.DataFrame, area: str) -> Matches:
+    """Match positions with labels, one to one in each frame within `NEAR_M`.
+
+    A position that is not matched is false, unless it is near a label that is not asked.
+
+    Parameters
+    ----------
+    sequence
+        Frames and labels.
+    rows
+        ``frame``, ``track_id``, ``east_m`` and ``north_m`` of each position, with a unique index.
+    area
+        Name of the area in which labels and false positions count.
+    """
+    labels, is_false = sequence.labels, pd.Series(False, rows.index)
+    found, track_id = pd.Series(False, labels.index), pd.Series(-1, labels.index)
+    for k in range(len(sequence.times_s)):
+        mine, there = rows[rows["frame"] == k], labels[labels["frame"] == k]
+        place_m, label_m = (of[["east_m", "north_m"]].to_numpy(float) for of in (mine, there))
+        distance_m = np.hypot(*(place_m[:, None] - label_m[None]).transpose(2, 0, 1))
+        asked, near = there["asked"].to_numpy(bool), distance_m <= NEAR_M
+        cost = np.where(near[:, asked], distance_m[:, asked], _NEVER)
+        i, j = linear_sum_assignment(cost)
+        i, j = i[cost[i, j] < _NEVER], j[cost[i, j] < _NEVER]
+        found.loc[there.index[asked][j]] = True
+        track_id.loc[there.index[asked][j]] = mine["track_id"].to_numpy()[i]
+        alone = ~near[:, ~asked].any(axis=1)
+        alone[i] = False
+        is_false.loc[mine.index] = alone & sequence.inside(area, place_m)
+    counted = labels["asked"] & sequence.inside(area, labels[["east_m", "north_m"]].to_numpy(float))
+    return Matches(labels.assign(found=found, track_id=track_id)[counted], rows[is_false])
+
+
+def count_switches(labels: pd.DataFrame) -> int:
+    """Count the changes of the track of each vehicle, in labels with ``found`` and ``track_id``."""
+    paths = labels[labels["found"]].sort_values("frame").groupby("vehicle_id")["track_id"]
+    return sum(int((np.diff(path) != 0).sum()) for _, path in paths)
