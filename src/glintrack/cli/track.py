@@ -33,7 +33,7 @@ from glintrack.track.files import (
     TrackedRows,
     as_rows,
     frames_design,
-    select_lasting_tracks,
+    is_lasting,
     strict_design,
     track_detections,
     track_frames,
@@ -157,7 +157,9 @@ def _track_frames(
         edges_m = x[0] - cell / 2, y[-1] - cell / 2, x[-1] + cell / 2, y[0] + cell / 2
         place = replace(place, area_m=Extent(*map(float, edges_m)), cell_m=cell)
     rows = as_rows(reports)
-    return select_lasting_tracks(rows, times_s[-1]) if tracker.reporting.history else rows, place
+    if tracker.reporting.history and rows.sizes:
+        rows = rows.isel(row=is_lasting(rows, times_s[-1]))
+    return rows, place
 
 
 def _check_unused(of: str, source: Path, **options: object) -> None:

@@ -4,7 +4,7 @@ Each number has Student's interval of 95 % from leaving parts out (jackknife). T
 for images and false detections, vehicles for labels and tracks, and frames for registration.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -26,7 +26,7 @@ from glintrack.track.detect.median_motion import (
     MedianMotionDetector,
     standardize_frames,
 )
-from glintrack.track.files import FRAMES_DESIGN, as_rows, select_lasting_tracks, track_frames
+from glintrack.track.files import FRAMES_DESIGN, as_rows, is_lasting, track_frames
 
 TILES = 4  # along each side of the grid
 NEAR_LABEL_PX = 2  # a label is good to 1.5 pixels
@@ -89,7 +89,7 @@ def measure(sequence: LabelledSequence, area: str) -> list[Measured]:
     found = detect_frames(sequence)
     labels = sequence.labels.assign(contrast=found.contrast)
     ready = replace(sequence, labels=labels[np.isfinite(found.contrast)])
-    rows = tracks_of(sequence)
+    rows = tracks_of(sequence).query("lasting")
     detected, tracked = match_positions(ready, found.rows, area), match_positions(sequence, rows, area)
     displacement = pd.DataFrame({"part": np.arange(len(found.displacement_px)), "px": found.displacement_px})
     return [
@@ -117,21 +117,17 @@ def comparison_table(measured: Mapping[str, Sequence[Measured]]) -> str:
 
 
 def tracks_of(sequence: LabelledSequence) -> pd.DataFrame:
-    """Tracks of ``glintrack track`` without settings, as from `frame_rows`."""
-    return frame_rows(track_frames(sequence.images(), FRAMES_DESIGN), sequence.times_s)
+    """Tracks of ``glintrack track`` without settings, as from `frame_rows`, and those that it leaves out.
 
-
-def frame_rows(reports: Iterable[tuple[float, xr.Dataset]], times_s: Float[Array, "frame"]) -> pd.DataFrame:
-    """Rows of reported tracks with the index of their frame.
-
-    Parameters
-    ----------
-    reports
-        Time and tracks of the schema ``tracks``, as from `track.files.track_frames`.
-    times_s
-        Time of each frame. [s]
+    ``lasting`` marks the rows of the former. With a lag of 0 all rows that are not ``tentative`` count.
     """
-    rows = select_lasting_tracks(as_rows(reports), float(times_s[-1]))
+    rows = as_rows(track_frames(sequence.images(), FRAMES_DESIGN))
+    table = frame_rows(rows, sequence.times_s)
+    return table.assign(lasting=is_lasting(rows, float(sequence.times_s[-1])))
+
+
+def frame_rows(rows: xr.Dataset, times_s: Float[Array, "frame"]) -> pd.DataFrame:
+    """Table of the rows of `track.files.as_rows`, with the index of each row's frame."""
     table = pd.DataFrame({name: rows.get(name, np.empty(0)) for name in TRACK_COLUMNS})
     return table.assign(frame=np.searchsorted(times_s, table["time_s"] - 1e-6))
 

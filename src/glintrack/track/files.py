@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from glintrack.core.arrays import Array
 from glintrack.core.records import Extent, Rows
@@ -200,8 +200,8 @@ def as_rows(reports: Iterable[tuple[float, xr.Dataset]]) -> xr.Dataset:
     return table.isel(row=np.argsort(table["time_s"].values, kind="stable"))
 
 
-def select_lasting_tracks(rows: xr.Dataset, last_s: float) -> xr.Dataset:
-    """Select the tracks that last `MIN_DURATION_S`, or that the last frame still shows.
+def is_lasting(rows: xr.Dataset, last_s: float) -> Bool[Array, "row"]:
+    """Return True for rows of tracks that last `MIN_DURATION_S`, or that the last frame still shows.
 
     A shorter track is most often a second one on a vehicle, or clutter.
 
@@ -213,13 +213,13 @@ def select_lasting_tracks(rows: xr.Dataset, last_s: float) -> xr.Dataset:
         Time of the last frame. [s]
     """
     if not rows.sizes.get("row"):
-        return rows
+        return np.zeros(0, bool)
     ids, index = np.unique(rows["track_id"].values, return_inverse=True)
     first_s, end_s = np.full(len(ids), np.inf), np.full(len(ids), -np.inf)
     np.minimum.at(first_s, index, rows["time_s"].values)
     np.maximum.at(end_s, index, rows["time_s"].values)
     lasts = (end_s - first_s >= MIN_DURATION_S - _ROUNDING_S) | (end_s >= last_s - _ROUNDING_S)
-    return rows.isel(row=lasts[index])
+    return lasts[index]
 
 
 def surroundings(position: Float[Array, "row 2"]) -> Extent:

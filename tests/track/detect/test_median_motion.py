@@ -12,7 +12,7 @@ from glintrack.track.detect import median_motion, registration
 from glintrack.track.detect.footprint import footprints, local_quantile, window_means
 from glintrack.track.detect.median_motion import MedianMotionDetector
 from glintrack.track.detect.sliding_median import median_and_spread, standardize_change
-from glintrack.track.files import FRAMES_DESIGN, as_rows, select_lasting_tracks, track_frames
+from glintrack.track.files import FRAMES_DESIGN, as_rows, is_lasting, track_frames
 from tests.plain import plain_tracker
 from tests.track.moving_blobs import image, paint_cars, texture
 
@@ -398,5 +398,5 @@ def test_tracks_that_end_early_are_left_out():
     """Tracks of 0.8 s, of 1.6 s, and one that the last frame still shows."""
     time_s, ident = np.array([0.0, 0.8, 0.0, 1.6, 3.2, 4.0]), np.array([1, 1, 2, 2, 3, 3])
     rows = xr.Dataset({"time_s": ("row", time_s), "track_id": ("row", ident)})
-    assert set(select_lasting_tracks(rows, 4.0)["track_id"].values.tolist()) == {2, 3}
-    assert select_lasting_tracks(xr.Dataset(), 4.0).sizes == {}
+    assert set(rows["track_id"].values[is_lasting(rows, 4.0)].tolist()) == {2, 3}
+    assert not len(is_lasting(xr.Dataset(), 4.0))
