@@ -21,7 +21,6 @@ from glintrack.track.detect.footprint import footprints, window_means
 from glintrack.track.detect.frame import Frame
 from glintrack.track.detect.median_motion import (
     CAP,
-    DECISION_RATIO,
     FOOTPRINT_M,
     MedianMotionDetector,
     standardize_frames,
@@ -148,7 +147,7 @@ def detect_frames(sequence: LabelledSequence) -> DetectedFrames:
             displacement_px.append(float(np.hypot(*found.displacement_m)) / gsd_m)
         if len(state.past) < 3:
             continue
-        east_m, north_m = found.position[found.log_likelihood_ratio >= DECISION_RATIO].T
+        east_m, north_m = found.position[found.contrast >= 1].T
         rows.append(pd.DataFrame({"frame": k, "track_id": 0, "east_m": east_m, "north_m": north_m}))
         (change,) = standardize_frames(state.past, "pan", gsd_m)
         here = np.flatnonzero(labels["frame"] == k)
@@ -210,7 +209,7 @@ def _measure_detections(sequence: LabelledSequence, detected: Matches, area: str
     for text, column, edges in (("m/s", "speed_m_s", SPEEDS_M_S), ("σ contrast", "contrast", CONTRASTS)):
         for low, high in pairwise(edges):
             to = f"{low:g} to {high:g}" if np.isfinite(high) else f"from {low:g}"
-            part = labels[(labels[column] >= low) & (labels[column] < high)]
+            part = labels.take(np.flatnonzero((labels[column] >= low) & (labels[column] < high)))
             yield _share(f"{name}, {to} {text}", part, "found")
     seen = (sequence.areas[area] & np.isfinite(sequence.frames[2:])).sum(axis=0)
     yield _density("false detections in a frame", sequence, detected.false, seen / (len(sequence.frames) - 2))
@@ -225,14 +224,19 @@ def _measure_tracks(sequence: LabelledSequence, tracked: Matches, area: str) -> 
 
     yield _number("F1", "1", labels, f1, "vehicle_id")
     yield _share("completeness", labels, "found")
-    yield _number("purity", "1", labels, lambda of: _most(of, "track_id", "vehicle_id"), "vehicle_id")
-    yield _number(
-        "custody", "1", labels, lambda of: _most(of, "vehicle_id", "track_id", len(of)), "vehicle_id"
-    )
+
+    def purity(of: pd.DataFrame) -> float:
+        return _count_most(of, "track_id", "vehicle_id") / max(np.count_nonzero(of["found"]), 1)
+
+    def custody(of: pd.DataFrame) -> float:
+        return _count_most(of, "vehicle_id", "track_id") / len(of)
+
+    yield _number("purity", "1", labels, purity, "vehicle_id")
+    yield _number("custody", "1", labels, custody, "vehicle_id")
     frames_of_custody = CUSTODY_S * (len(sequence.times_s) - 1) / float(np.ptp(sequence.times_s))
 
     def switches(of: pd.DataFrame) -> float:
-        return count_switches(of) * frames_of_custody / max(of["found"].sum(), 1)
+        return count_switches(of) * frames_of_custody / max(np.count_nonzero(of["found"]), 1)
 
     name = f"identity switches of a vehicle in {CUSTODY_S:g} s"
     yield _number(name, "1", labels, switches, "vehicle_id")
@@ -240,11 +244,11 @@ def _measure_tracks(sequence: LabelledSequence, tracked: Matches, area: str) -> 
     yield _density("false tracks", sequence, tracked.false_tracks, seen)
 
 
-def _most(labels: pd.DataFrame, of: str, among: str, total: int | None = None) -> float:
-    """Share of matches with the most frequent partner of each track or vehicle."""
-    found = labels[labels["found"]]
-    most = found.groupby([of, among]).size().groupby(of).max().sum()
-    return float(most / max(len(found) if total is None else total, 1))
+def _count_most(labels: pd.DataFrame, of: str, among: str) -> int:
+    """Count the matches of each track or vehicle with its most frequent partner."""
+    pairs = labels[[of, among]].to_numpy(int)[labels["found"].to_numpy(bool)]
+    pairs, count = np.unique(pairs, axis=0, return_counts=True)
+    return sum(int(count[pairs[:, 0] == one].max()) for one in np.unique(pairs[:, 0]))
 
 
 def _density(name: str, sequence: LabelledSequence, rows: pd.DataFrame, seen: Array) -> Measured:
@@ -263,16 +267,18 @@ def _density(name: str, sequence: LabelledSequence, rows: pd.DataFrame, seen: Ar
 
 
 def _share(name: str, labels: pd.DataFrame, column: str) -> Measured:
-    return _number(name, "1", labels, lambda of: of[column].mean(), "vehicle_id")
+    return _number(name, "1", labels, lambda of: float(of[column].to_numpy().mean()), "vehicle_id")
 
 
 def _quantiles(
     name: str, unit: str, table: pd.DataFrame, column: str, shares: Sequence[float], by: str = "part"
 ) -> Iterator[Measured]:
     for share in shares:
-        yield _number(
-            f"{name}, {100 * share:g} % quantile", unit, table, lambda of, q=share: of[column].quantile(q), by
-        )
+
+        def quantile(of: pd.DataFrame, share: float = share) -> float:
+            return float(np.quantile(of[column].to_numpy(), share))
+
+        yield _number(f"{name}, {100 * share:g} % quantile", unit, table, quantile, by)
 
 
 def _number(

@@ -51,7 +51,8 @@ class LabelledSequence:
 
     def after(self, first: int) -> "LabelledSequence":
         """Sequence from a frame on."""
-        labels = self.labels[self.labels["frame"] >= first].assign(frame=lambda of: of["frame"] - first)
+        labels = self.labels.take(np.flatnonzero(self.labels["frame"] >= first))
+        labels = labels.assign(frame=labels["frame"] - first)
         return replace(self, times_s=self.times_s[first:], frames=self.frames[first:], labels=labels)
 
     def cells(self, places_m: Float[Array, "n 2"]) -> Array:
@@ -97,16 +98,16 @@ class Matches:
     @property
     def f1(self) -> float:
         """Harmonic mean of precision and recall of the positions. [1]"""
-        right = int(self.labels["found"].sum())
+        right = np.count_nonzero(self.labels["found"])
         return 2 * right / max(right + len(self.false) + len(self.labels), 1)
 
     @property
     def false_tracks(self) -> pd.DataFrame:
         """First false position of each track with more false positions than right ones."""
-        right = self.labels["track_id"].value_counts()
-        wrong = self.false["track_id"].value_counts()
-        ids = wrong.index[wrong > right.reindex(wrong.index, fill_value=0)]
-        return self.false[self.false["track_id"].isin(ids)].drop_duplicates("track_id")
+        right = self.labels["track_id"].to_numpy(int)
+        false = self.false["track_id"].to_numpy(int)
+        ids, first, count = np.unique(false, return_index=True, return_counts=True)
+        return self.false.take(first[[n > (right == one).sum() for one, n in zip(ids, count, strict=True)]])
 
 
 def match_positions(sequence: LabelledSequence, rows: pd.DataFrame, area: str) -> Matches:
@@ -119,30 +120,38 @@ def match_positions(sequence: LabelledSequence, rows: pd.DataFrame, area: str) -
     sequence
         Frames and labels.
     rows
-        ``frame``, ``track_id``, ``east_m`` and ``north_m`` of each position, with a unique index.
+        ``frame``, ``track_id``, ``east_m`` and ``north_m`` of each position.
     area
         Name of the area in which labels and false positions count.
     """
-    labels, is_false = sequence.labels, pd.Series(False, rows.index)
-    found, track_id = pd.Series(False, labels.index), pd.Series(-1, labels.index)
+    labels = sequence.labels
+    frames, asked = labels["frame"].to_numpy(int), labels["asked"].to_numpy(bool)
+    label_m, place_m = (of[["east_m", "north_m"]].to_numpy(float) for of in (labels, rows))
+    found, track_id, is_false = (
+        np.zeros(len(labels), bool),
+        np.full(len(labels), -1),
+        np.zeros(len(rows), bool),
+    )
     for k in range(len(sequence.times_s)):
-        mine, there = rows[rows["frame"] == k], labels[labels["frame"] == k]
-        place_m, label_m = (of[["east_m", "north_m"]].to_numpy(float) for of in (mine, there))
-        distance_m = np.hypot(*(place_m[:, None] - label_m[None]).transpose(2, 0, 1))
-        asked, near = there["asked"].to_numpy(bool), distance_m <= NEAR_M
-        cost = np.where(near[:, asked], distance_m[:, asked], _NEVER)
+        mine, there = np.flatnonzero(rows["frame"].to_numpy() == k), np.flatnonzero(frames == k)
+        distance_m = np.hypot(*(place_m[mine, None] - label_m[None, there]).transpose(2, 0, 1))
+        near, wanted = distance_m <= NEAR_M, asked[there]
+        cost = np.where(near[:, wanted], distance_m[:, wanted], _NEVER)
         i, j = linear_sum_assignment(cost)
         i, j = i[cost[i, j] < _NEVER], j[cost[i, j] < _NEVER]
-        found.loc[there.index[asked][j]] = True
-        track_id.loc[there.index[asked][j]] = mine["track_id"].to_numpy()[i]
-        alone = ~near[:, ~asked].any(axis=1)
+        found[there[wanted][j]] = True
+        track_id[there[wanted][j]] = rows["track_id"].to_numpy()[mine[i]]
+        alone = ~near[:, ~wanted].any(axis=1)
         alone[i] = False
-        is_false.loc[mine.index] = alone & sequence.inside(area, place_m)
-    counted = labels["asked"] & sequence.inside(area, labels[["east_m", "north_m"]].to_numpy(float))
-    return Matches(labels.assign(found=found, track_id=track_id)[counted], rows[is_false])
+        is_false[mine] = alone
+    is_false &= sequence.inside(area, place_m)
+    counted = np.flatnonzero(asked & sequence.inside(area, label_m))
+    labels = labels.assign(found=found, track_id=track_id).take(counted)
+    return Matches(labels, rows.take(np.flatnonzero(is_false)))
 
 
 def count_switches(labels: pd.DataFrame) -> int:
     """Count the changes of the track of each vehicle, in labels with ``found`` and ``track_id``."""
-    paths = labels[labels["found"]].sort_values("frame").groupby("vehicle_id")["track_id"]
-    return sum(int((np.diff(path) != 0).sum()) for _, path in paths)
+    table = labels[["vehicle_id", "frame", "track_id"]].to_numpy(int)[labels["found"].to_numpy(bool)]
+    vehicle, _, track = table[np.lexsort((table[:, 1], table[:, 0]))].T
+    return int(np.count_nonzero((np.diff(vehicle) == 0) & (np.diff(track) != 0)))

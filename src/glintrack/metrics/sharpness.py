@@ -36,7 +36,7 @@ def edge_rises(image: Float[Array, "y x"]) -> tuple[Float[Array, "edge 2"], Floa
     """
     image = np.asarray(image, float)
     smooth = ndimage.gaussian_filter(image, 1.0)
-    slope = np.stack(np.gradient(smooth), axis=-1)
+    slope = np.stack([np.gradient(smooth, axis=axis) for axis in (0, 1)], axis=-1)
     size = np.hypot(slope[..., 0], slope[..., 1])
     margin = int(HALF_PX + ALONG_PX) + 2
     is_peak = np.pad((size == ndimage.maximum_filter(size, 9))[margin:-margin, margin:-margin], margin)
@@ -90,8 +90,8 @@ def temporal_noise(first: Float[Array, "y x"], second: Float[Array, "y x"]) -> F
     change = np.where(known, change, 0.0)
     change = change - ndimage.uniform_filter(change, HIGH_PASS_PX)
     slope = ndimage.gaussian_gradient_magnitude(np.where(known, first, np.median(first[known])), 1.0)
-    known = ndimage.binary_erosion(known, np.ones((HIGH_PASS_PX, HIGH_PASS_PX)))
-    flat = known & (slope <= np.quantile(slope[known], FLAT_SHARE) if known.any() else False)
+    inner = np.asarray(ndimage.binary_erosion(known, np.ones((HIGH_PASS_PX, HIGH_PASS_PX))), bool)
+    flat = inner & (slope <= np.quantile(slope[inner | ~inner.any()], FLAT_SHARE))
     gain = np.sqrt(2 * (1 - 1 / HIGH_PASS_PX**2))  # of the difference after the high pass
     return np.where(flat, change / gain, np.nan)
 
