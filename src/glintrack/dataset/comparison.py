@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 import xarray as xr
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.dataset.sequences import LabelledSequence, Matches, count_switches, match_positions
@@ -62,7 +62,7 @@ class DetectedFrames:
     rows
         Detections that are rather right than false: ``frame``, ``east_m``, ``north_m``.
     contrast
-        Strength of the change at each label, bright or dark; NaN where the detector was not ready. [σ]
+        Strength of the change at each label, bright or dark; NaN where the detector had no data. [σ]
     residual
         Sample of the changes against the background off all labels: ``part`` and ``size``. [σ]
     displacement_px
@@ -86,7 +86,8 @@ def measure(sequence: LabelledSequence, area: str) -> list[Measured]:
         Name of the area whose labels and false positions count.
     """
     found = detect_frames(sequence)
-    labels = sequence.labels.assign(contrast=found.contrast)
+    is_dark = _is_on_dark_ground(sequence)
+    labels = sequence.labels.assign(contrast=found.contrast, is_dark=is_dark)
     ready = replace(sequence, labels=labels[np.isfinite(found.contrast)])
     rows = tracks_of(sequence).query("lasting")
     detected, tracked = match_positions(ready, found.rows, area), match_positions(sequence, rows, area)
@@ -158,13 +159,22 @@ def detect_frames(sequence: LabelledSequence) -> DetectedFrames:
 
 
 def _strengths(change: Float[Array, "y x"], windows, cells: Int[Array, "label 2"]) -> Float[Array, "label"]:
-    """Greatest mean change, bright or dark, under a vehicle's footprint next to each label. [σ]"""
+    """Greatest mean change under a vehicle's footprint next to each label; NaN off data. [σ]"""
     bounded = np.clip(np.nan_to_num(change), -CAP, CAP)
     layers = np.maximum(window_means(bounded, windows), window_means(-bounded, windows))
     reach = range(-NEAR_LABEL_PX, NEAR_LABEL_PX + 1)
     last = np.array(change.shape) - 1
-    near = [layers[tuple(np.clip(cells + (i, j), 0, last).T)] for i in reach for j in reach]
-    return np.max(near, axis=0)
+    near = [np.clip(cells + (i, j), 0, last) for i in reach for j in reach]
+    known = np.all([np.isfinite(change[tuple(at.T)]) for at in near], axis=0)
+    return np.where(known, np.max([layers[tuple(at.T)] for at in near], axis=0), np.nan)
+
+
+def _is_on_dark_ground(sequence: LabelledSequence) -> Bool[Array, "label"]:
+    """Return True for labels whose pixel is, in the median of all frames, below the median of all pixels."""
+    cells = sequence.cells(sequence.labels[["east_m", "north_m"]].to_numpy(float))
+    row, column = np.clip(cells, 0, np.array(sequence.frames.shape[1:]) - 1).T
+    known = sequence.frames[np.isfinite(sequence.frames)][::SAMPLE_STEP]
+    return np.nanmedian(sequence.frames[:, row, column], axis=0) < np.median(known)
 
 
 def _sample_residual(change: Float[Array, "y x"], cells: Int[Array, "label 2"]) -> pd.DataFrame:
@@ -211,8 +221,12 @@ def _measure_detections(sequence: LabelledSequence, detected: Matches, area: str
             to = f"{low:g} to {high:g}" if np.isfinite(high) else f"from {low:g}"
             part = labels.take(np.flatnonzero((labels[column] >= low) & (labels[column] < high)))
             yield _share(f"{name}, {to} {text}", part, "found")
+    yield _share("labels on ground darker than the median", labels, "is_dark")
+    for text, is_dark in (("dark", True), ("bright", False)):
+        part = labels.take(np.flatnonzero(labels["is_dark"] == is_dark))
+        yield _share(f"{name}, {text} ground", part, "found")
     seen = (sequence.areas[area] & np.isfinite(sequence.frames[2:])).sum(axis=0)
-    yield _density("false detections in a frame", sequence, detected.false, seen / (len(sequence.frames) - 2))
+    yield _density("false detections in a frame", sequence, detected.false, seen)
 
 
 def _measure_tracks(sequence: LabelledSequence, tracked: Matches, area: str) -> Iterator[Measured]:
