@@ -11,6 +11,7 @@ from glintrack.case.design import Case
 from glintrack.cli.app import load_program
 from glintrack.core.designs import keys_of
 from glintrack.core.schema import SCHEMAS
+from glintrack.optimize import OptimizationDesign
 from glintrack.study import StudyDesign
 
 
@@ -38,6 +39,7 @@ def _case_page() -> Iterator[str]:
     )
     yield from _keys(Case, "The case")
     yield from _keys(StudyDesign, "A study")
+    yield from _keys(OptimizationDesign, "An optimization")
 
 
 def _keys(model: type[BaseModel], title: str) -> Iterator[str]:

@@ -190,7 +190,7 @@ def test_a_study_has_no_base_outside_its_folder_unless_allowed(tmp_path):
     path = tmp_path / "sent" / "study.toml"
     path.parent.mkdir()
     path.write_text('case = "../base.toml"\n[axes]\nseed = [1]\n')
-    with pytest.raises(ValueError, match="`case` must name a file in the study's folder or below"):
+    with pytest.raises(ValueError, match="`case` must name a file in the folder of"):
         read_plan(path)
     assert len(read_plan(path, allow_outside_paths=True).points) == 1
 

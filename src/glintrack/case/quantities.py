@@ -85,6 +85,12 @@ def views(case: Case) -> dict[str, Case]:
     return found
 
 
+def data_rate_mbit_s(case: Case) -> float:
+    """Raw data rate of the detector array. [Mbit s⁻¹]"""
+    sensor = case.sensor
+    return 1e-6 * sensor.rows * sensor.columns * sensor.bits * case.flight.rate_hz
+
+
 def view_quantities(case: Case) -> dict[str, float]:
     """Derive the sampling of ground and cars, and the footprint beside window and scored area. [m, 1, °]"""
     (across_m, along_m), (wide_m, high_m) = ground_view(case)

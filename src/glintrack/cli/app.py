@@ -26,6 +26,7 @@ COMMANDS = {
     "view": "Show a result in the browser; images are sent as they are needed.",
     "video": "Write the film of a simulation with its tracks as MP4 (extra `video`) or GIF.",
     "study": "Simulate the cases of a study, `glintrack study FILE`, or report on a study.",
+    "optimize": "Search for the cheapest design that meets requirements, and confirm it over unseen cities.",
     "dataset": "Build a labelled set of frames, `glintrack dataset CASE… -o DIR`, or score baselines on one.",
     "case": "Make a case from a data sheet, check a case file, list cases, or print the keys.",
     "track": "Track your own detections or frames.",

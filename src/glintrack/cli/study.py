@@ -5,6 +5,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -63,6 +64,12 @@ _MAX_TABLE_WIDTH = 200  # [character]
 _MAX_DESIGNS = 12  # that are printed; points.csv holds all
 _FEW_AXES = 3  # up to which each channel has a row
 
+SchedulerOption = Annotated[str | None, option("Dask scheduler tcp://HOST:PORT, or 'local'")]
+WorkersOption = Annotated[int | None, option("Processes on this machine [default: one per core]", min=1)]
+InProcessOption = Annotated[bool, option("Simulate in this process, one by one", "--serial")]
+MemoryOption = Annotated[float | None, option("Memory limit of a worker [GB]", min=0.5, max=_MAX_GB)]
+CacheOption = Annotated[Path | None, option("Folder for traced frames [default: user's cache]")]
+
 app = command_app(
     "Simulate the cases of a study, `glintrack study FILE`, or report on a study.", default="run"
 )
@@ -72,11 +79,11 @@ app = command_app(
 def run(
     study: Annotated[str, argument("Study file (TOML), or a packaged study (`glintrack case list`)")],
     output: Annotated[Path | None, option("New folder [default: study-NAME]", "-o", "--output")] = None,
-    scheduler: Annotated[str | None, option("Dask scheduler tcp://HOST:PORT, or 'local'")] = None,
-    workers: Annotated[int | None, option("Processes on this machine [default: one per core]", min=1)] = None,
-    in_process: Annotated[bool, option("Simulate in this process, one by one", "--serial")] = False,
-    memory: Annotated[float | None, option("Memory limit of a worker [GB]", min=0.5, max=_MAX_GB)] = None,
-    cache: Annotated[Path | None, option("Folder for traced frames [default: user's cache]")] = None,
+    scheduler: SchedulerOption = None,
+    workers: WorkersOption = None,
+    in_process: InProcessOption = False,
+    memory: MemoryOption = None,
+    cache: CacheOption = None,
     replicates: Annotated[int | None, option("Number of replicates [default: all]", min=1)] = None,
     dry_run: Annotated[bool, option("Print time and disk space; simulate nothing", "--dry-run")] = False,
     require: RequireOption = None,
@@ -87,8 +94,7 @@ def run(
     With --require each point of the design is compared with the requirement, over its replicates.
     """
     requirements = [read_requirement(text) for text in require or []]
-    if in_process and (workers or scheduler):
-        raise ValueError("`--serial` must not be given with --workers or --scheduler; got both.")
+    check_pool(scheduler, workers, in_process)
     plan = read_plan(find_case(study, "study"), allow_outside_paths)
     mine = plan if replicates is None else plan.first(replicates)
     folder = StudyFolder(output or Path(f"study-{plan.design.name}"))
@@ -106,17 +112,28 @@ def run(
                 slots = 1 if in_process else workers or pool.threads
         _print_plan(console, mine, folder, frame_cache, slots)
         return
-    limit = None if memory is None else int(memory * 1e9)
-    if scheduler:
-        started = dask(scheduler, workers, limit)
-    else:
-        started = serial() if in_process else processes(workers, limit)
-    with started as pool, folder.open(plan):
+    with open_pool(scheduler, workers, in_process, memory) as pool, folder.open(plan):
         report = _simulate(console, mine, folder, pool, frame_cache)
         write_results(plan, folder)
     _conclude(console, mine, folder, frame_cache, report)
     if requirements:
         _compare_with_requirements(console, read_results(folder.path), requirements)
+
+
+def check_pool(scheduler: str | None, workers: int | None, in_process: bool) -> None:
+    """Refuse options of executors that exclude each other."""
+    if in_process and (workers or scheduler):
+        raise ValueError("`--serial` must not be given with --workers or --scheduler; got both.")
+
+
+def open_pool(
+    scheduler: str | None, workers: int | None, in_process: bool, memory: float | None
+) -> AbstractContextManager[Pool]:
+    """Open the executor that the options of a command name."""
+    limit = None if memory is None else int(memory * 1e9)
+    if scheduler:
+        return dask(scheduler, workers, limit)
+    return serial() if in_process else processes(workers, limit)
 
 
 @app.command("report")

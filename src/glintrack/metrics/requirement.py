@@ -86,8 +86,15 @@ class Assessment:
     more_flights: int | None = None
 
 
-def read_requirement(text: str) -> Requirement:
+def read_requirement(text: str, option: str = "--require") -> Requirement:
     """Read a requirement such as ``custody>=0.8`` or ``pan.false_per_km2<=40``.
+
+    Parameters
+    ----------
+    text
+        Text of the user.
+    option
+        Name of the option or key, for messages.
 
     Raises
     ------
@@ -97,13 +104,13 @@ def read_requirement(text: str) -> Requirement:
     parts = _TEXT.fullmatch(text)
     if parts is None:
         raise ValueError(
-            f"`--require` must be SCORE>=NUMBER or SCORE<=NUMBER, as 'custody>=0.8'; got {text[:80]!r}. "
-            "Put it in quotes: the shell interprets >."
+            f"`{option}` must be SCORE>=NUMBER or SCORE<=NUMBER, as 'custody>=0.8'; got {text[:80]!r}. "
+            "Put it in quotes."
         )
     known = summarize([])
     if parts["score"] not in known:
         raise ValueError(
-            f"`--require` must name a score; got {parts['score'][:80]!r}. "
+            f"`{option}` must name a score; got {parts['score'][:80]!r}. "
             f"{suggest_name(parts['score'], known)}"
         )
     try:
@@ -112,9 +119,9 @@ def read_requirement(text: str) -> Requirement:
         limit = math.nan
     if not math.isfinite(limit):
         got = parts["limit"][:80]
-        raise ValueError(f"`--require` must give a finite limit; got {got!r}.{number_hint(got)}")
+        raise ValueError(f"`{option}` must give a finite limit; got {got!r}.{number_hint(got)}")
     if parts["score"] in SHARES and not 0 <= limit <= 1:
-        raise ValueError(f"`--require` must give a share from 0 to 1 for {parts['score']}; got {limit:g}.")
+        raise ValueError(f"`{option}` must give a share from 0 to 1 for {parts['score']}; got {limit:g}.")
     channel = parts["channel"] and parts["channel"].lower()  # tables say DoLP
     return Requirement(parts["score"], parts["sign"].startswith(">"), limit, channel)
 

@@ -17,10 +17,13 @@ import numpy as np
 import pandas as pd
 
 from glintrack.core.schema import CHANNEL_WORDS
+from glintrack.optimize.report import INTERVAL_DEVIATE, OptimizationResult, SliderAxis
+from glintrack.optimize.report import read_result as read_optimization_result
+from glintrack.optimize.spec import WORD_DISTANCE
 from glintrack.report.page import flatten, in_code, read_terms, render_page, script_json
 from glintrack.study import analyse, read_results
 from glintrack.study.analysis import CHANCE, labels
-from glintrack.study.report import view_notes
+from glintrack.study.report import response_surfaces, view_notes
 from glintrack.study.text_tables import (
     NAMES,
     RESPONSES,
@@ -33,6 +36,10 @@ from glintrack.study.text_tables import (
 
 HEAD = "study.json"
 RUN_PAGE = "report.html"
+_PREDICTS = {
+    False: "From the response surfaces: the score of one simulation, with an interval of 90 %.",
+    True: "From the Gaussian processes: means over all cities, with an interval of 90 %.",
+}
 _FIRST = ("point", "replicate", "case", "channel", "status")
 
 
@@ -66,6 +73,8 @@ def build_study_page(folder: str | Path, page_folder: str | Path) -> str:
     tables = analyse(table, source) if done.any() else {}
     varied = [axis for axis in axes if table[axis].nunique() > 1]
     plots, first = _plots(tables, varied), study_headline(tables)
+    optimization = read_optimization_result(folder)
+    predictions = _predictions(table, source, optimization) if tables else None
     if "points" in tables:
         tables["points"]["point"] = [shorten_design(point, axes) for point in tables["points"]["point"]]
     matters = importance_table(tables)
@@ -83,13 +92,22 @@ def build_study_page(folder: str | Path, page_folder: str | Path) -> str:
     ]
     return render_page(
         "study.html.j2",
-        scripts=("theme.js", "plots.js", "study.js"),
+        scripts=("theme.js", "plots.js", "predict.js", "study.js"),
+        kind="study" if optimization is None else "optimization",
+        optimization=optimization
+        and {
+            "sentences": [in_code(said) for said in optimization.sentences],
+            "tables": optimization.tables,
+        },
+        predicts=_PREDICTS[optimization is not None] if predictions else "",
         title=str(source["design"].get("name") or folder.resolve().name),
         notes=_notes(table, source),
         headline=None if first is None else {k: in_code(text) for k, text in first._asdict().items()},
         answer=in_code(answer(tables)) if tables else "",
         narrow=in_code(narrow_intervals(table, source)) if matters else "",
-        reservations=[in_code(note) for note in view_notes(tables["views"])] if "views" in tables else [],
+        reservations=[]
+        if optimization or "views" not in tables
+        else [in_code(n) for n in view_notes(tables["views"])],
         matters=matters,
         text_tables=comparison_tables(tables),
         has_points="points" in tables,
@@ -113,9 +131,44 @@ def build_study_page(folder: str | Path, page_folder: str | Path) -> str:
                 "effects": _records(tables, "effects", ("axis", "level", "effect")),
                 "points": _records(tables, "points", ("point", "score")),
                 "plots": plots,
+                "predict": predictions,
+                "front": [] if optimization is None else [_front_plot(optimization)],
             }
         ),
     )
+
+
+def _predictions(
+    table: pd.DataFrame, source: Mapping[str, Any], optimization: OptimizationResult | None
+) -> dict[str, Any] | None:
+    """Axes and predictors for the page's program; None without any."""
+    if optimization is not None:
+        axes = [axis.model_dump() for axis in optimization.axes]
+        found = [
+            {**p.process, "label": p.label, "logarithmic": p.logarithmic} for p in optimization.predictors
+        ]
+        return {"axes": axes, "predictors": found, "deviate": INTERVAL_DEVIATE, "word": WORD_DISTANCE}
+    surfaces = response_surfaces(table, source)
+    if not surfaces:
+        return None
+    first = next(iter(surfaces.values()))
+    ends = zip(first.axes, first.low.tolist(), first.high.tolist(), first.log, strict=True)
+    axes = [SliderAxis(name=name, low=a, high=b, log=log, value=a) for name, a, b, log in ends]
+    found = [
+        {**one.to_values(), "label": f"{NAMES[name]}, {CHANNEL_WORDS.get(channel, channel)}"}
+        for (name, channel), one in surfaces.items()
+        if one.axes == first.axes and np.array_equal([one.low, one.high], [first.low, first.high])
+    ]
+    return {"axes": [axis.model_dump() for axis in axes], "predictors": found}
+
+
+def _front_plot(result: OptimizationResult) -> dict:
+    """Pareto front of cost and probability, with numbered designs."""
+    points = [[cost, probable, design, str(k + 1)] for k, (design, cost, probable) in enumerate(result.front)]
+    line = {"label": "Pareto front", "channel": "pan", "points": points, "joined": points}
+    title = "Probability of meeting all requirements against cost; the numbers name the designs of the front"
+    plot = {"title": title, "xlabel": "cost", "ylabel": "probability", "lines": [line]}
+    return plot | {"numbered": [design for design, _, _ in result.front]}
 
 
 def shorten_design(point: str, axes: Sequence[str]) -> str:

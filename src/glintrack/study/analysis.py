@@ -22,7 +22,7 @@ import itertools
 import math
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -243,6 +243,15 @@ class ResponseSurface:
         reach = stats.t.ppf(0.5 + level / 2, self.freedom) * self.sigma * np.sqrt(1 + leverage)
         return middle, middle - reach, middle + reach
 
+    def to_values(self) -> dict[str, Any]:
+        """Plain values for a page's program; ``whitening`` is R⁻ᵀ, and ``reach`` t s of `LEVEL`."""
+        return {
+            "quadratic": self.quadratic,
+            "coefficients": self.coefficients.tolist(),
+            "whitening": np.linalg.inv(self.root).T.tolist(),
+            "reach": float(stats.t.ppf(0.5 + LEVEL / 2, self.freedom) * self.sigma),
+        }
+
     def along(self, axis: int) -> pd.DataFrame:
         """Predictions along one axis, the others at the middle of their ranges."""
         even, geometric = (self.low + self.high) / 2, np.sqrt(np.abs(self.low * self.high))
@@ -342,6 +351,20 @@ def cross_validate(
     return out
 
 
+def fit_scores(
+    done: pd.DataFrame, axes: Sequence[str], response: str, channel: str, even_in_log: Container[str] = ()
+) -> ResponseSurface | None:
+    """Fit a surface to one score in one channel; parameters as for `surrogates`."""
+    mine = _select_scores(done, response, channel)
+    names = continuous_axes(mine[list(axes)])
+    at, score = mine[names].to_numpy(dtype=float), mine[response].to_numpy(dtype=float)
+    return fit_surface(names, at, score, even_in_log) if names else None
+
+
+def _select_scores(done: pd.DataFrame, response: str, channel: str) -> pd.DataFrame:
+    return done[(done["channel"] == channel) & np.isfinite(done[response].to_numpy(dtype=float))]
+
+
 def surrogates(
     done: pd.DataFrame, axes: Sequence[str], response: str, channel: str, even_in_log: Container[str] = ()
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -366,12 +389,12 @@ def surrogates(
     ``coverage_low``, ``coverage_high`` (Clopper and Pearson's interval of 95 %). Both empty without enough
     flights.
     """
-    mine = done[(done["channel"] == channel) & np.isfinite(done[response].to_numpy(dtype=float))]
-    names = continuous_axes(mine[list(axes)])
-    at, score = mine[names].to_numpy(dtype=float), mine[response].to_numpy(dtype=float)
-    surface = fit_surface(names, at, score, even_in_log) if names else None
+    mine = _select_scores(done, response, channel)
+    surface = fit_scores(done, axes, response, channel, even_in_log)
     if surface is None:
         return pd.DataFrame(), pd.DataFrame()
+    names = surface.axes
+    at, score = mine[list(names)].to_numpy(dtype=float), mine[response].to_numpy(dtype=float)
     design = mine["point"].to_numpy() // max(mine["replicate"].nunique(), 1)
     predicted, low, high = cross_validate(names, at, score, design, even_in_log).T
     if not np.isfinite(predicted).all():

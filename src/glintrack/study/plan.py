@@ -44,7 +44,7 @@ MAX_JUDGED = 20  # designs of a study
 DECIDE_SCORES = ("embreex", "eclipse-sumo", "sasktran2")
 _PACKAGE = Path(__file__).parents[1]
 # parts that show results or run cases, and do not influence scores
-_SHOWS_ONLY = ("cli", "results/figures", "report", "study", "data/cases", "data/page")
+_SHOWS_ONLY = ("cli", "results/figures", "report", "study", "optimize", "data/cases", "data/page")
 _SIMULATES = ("study/workers.py",)
 
 
@@ -99,17 +99,21 @@ def read_plan(path: str | Path, allow_outside_paths: bool = False) -> Plan:
         Whether the base case and the files of cases may be outside the study's folder, as for
         `Case.from_toml`.
     """
-    path = Path(path)
     design = read_study(path)
-    local = path.parent / design.case
-    base = local if is_file(local) else find_case(design.case)
+    return build_plan(design, *find_base(Path(path), design.case, allow_outside_paths))
+
+
+def find_base(path: Path, case: str, allow_outside_paths: bool) -> tuple[Path, Sequence[Path] | None]:
+    """Find the base case that a file names; returns it, and the folders that files must be in, if any."""
+    local = path.parent / case
+    base = local if is_file(local) else find_case(case)
     inside = None if allow_outside_paths else (path.parent, PACKAGED_CASES)
     if inside is not None and not any(base.resolve().is_relative_to(one.resolve()) for one in inside):
         raise ValueError(
-            f"`case` must name a file in the study's folder or below; got {design.case}. "
+            f"`case` must name a file in the folder of {path.name} or below; got {case}. "
             "--allow-outside-paths allows others."
         )
-    return build_plan(design, base, inside)
+    return base, inside
 
 
 def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = None) -> Plan:

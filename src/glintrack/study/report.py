@@ -19,8 +19,10 @@ from glintrack.io import atomic, images
 from glintrack.metrics.requirement import Assessment, Requirement, assess
 from glintrack.study.analysis import (
     CHANCE,
+    ResponseSurface,
     continuous_axes,
     effects,
+    fit_scores,
     froc,
     pareto_front,
     point_scores,
@@ -87,8 +89,7 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
     channels = [name for name in CHANNELS if name in set(done["channel"])]
     responses = [name for name in RESPONSES if name in done and done[name].notna().any()]
     varied = [axis for axis in axes if done[axis].nunique() > 1]
-    spans = flat(source["design"].get("axes", {}))
-    even_in_log = [name for name, span in spans.items() if isinstance(span, dict) and span.get("log")]
+    even_in_log = log_axes(source)
     points = len(set(table["point"] // max(table["replicate"].nunique(), 1)))
     out: dict[str, list[pd.DataFrame]] = {}
 
@@ -126,6 +127,27 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
         tables["aa_test"] = tests.assign(response=responses[0])
     tables |= {"views": views(table, varied), "froc": froc(table, axes)}
     return {name: found for name, found in tables.items() if len(found)}
+
+
+def log_axes(source: Mapping[str, Any]) -> list[str]:
+    """Axes of a study that are even in the logarithm."""
+    spans = flat(source["design"].get("axes", {}))
+    return [name for name, span in spans.items() if isinstance(span, dict) and span.get("log")]
+
+
+def response_surfaces(
+    table: pd.DataFrame, source: Mapping[str, Any]
+) -> dict[tuple[str, str], ResponseSurface]:
+    """Response surfaces of a sampled study by score and channel; empty for another design."""
+    if source["design"]["design"] not in _SPREAD:
+        return {}
+    done = _select_finished(select_finished_replicates(table))
+    varied = [axis for axis in source["axes"] if done[axis].nunique() > 1]
+    pairs = [
+        (name, ch) for name in RESPONSES if name in done for ch in CHANNELS if ch in set(done["channel"])
+    ]
+    fits = {pair: fit_scores(done, varied, *pair, log_axes(source)) for pair in pairs}
+    return {pair: surface for pair, surface in fits.items() if surface is not None}
 
 
 def _rng() -> np.random.Generator:

@@ -24,7 +24,7 @@ import xarray as xr
 
 from glintrack.bounds.run import FlightBudget
 from glintrack.case.design import Case
-from glintrack.case.quantities import machine_memory_bytes
+from glintrack.case.quantities import data_rate_mbit_s, machine_memory_bytes
 from glintrack.core.installation import require_extra
 from glintrack.io import netcdf
 from glintrack.io.toml import to_toml
@@ -139,11 +139,10 @@ def simulate_case(case: Case, task: Task) -> dict[str, Any]:
 
 def scores(case: Case, tree: xr.DataTree, channel: str) -> dict[str, Any]:
     """Scores of one channel for a study: those of the run, its data rate, and scores over time."""
-    node, sensor = tree[channel], case.sensor
+    node = tree[channel]
     quality = node["quality"].attrs if "quality" in node.children else {}
     found: dict[str, Any] = {str(name): float(value) for name, value in {**node.attrs, **quality}.items()}
-    bits_per_frame = sensor.rows * sensor.columns * sensor.bits
-    found["data_rate_mbit_s"] = 1e-6 * bits_per_frame * case.flight.rate_hz
+    found["data_rate_mbit_s"] = data_rate_mbit_s(case)
     names = ("completeness", "completeness_visible", "tracked_per_km2", "false_per_km2")
     over_time = {**dict(zip(names, names, strict=True)), "false_per_frame": "false_tracks"}
     found["frames"] = float(node.sizes["time"])  # simulated ones

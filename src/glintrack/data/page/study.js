@@ -216,6 +216,7 @@ const study = (() => {
   chosen("effects", data.effects, (e) => `${e.axis}: ${e.level}`, (e) => e.effect, "change of", true);
   chosen("points", data.points, (e) => e.point, (e) => e.score, "", false);
   if (byId("parallel")) parallel();
+  if (byId("front-chart")) plots.draw(byId("front-chart"), data.front);
   if (byId("curves-charts")) plots.draw(byId("curves-charts"), data.plots);
   sortable();
   document.documentElement.dataset.ready = "yes";

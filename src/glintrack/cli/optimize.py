@@ -1,0 +1,128 @@
+"""``glintrack optimize``: search for the cheapest design that meets requirements."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from glintrack.cli.options import (
+    OutsidePathsOption,
+    argument,
+    check_answers,
+    command_app,
+    make_table,
+    open_console,
+    option,
+)
+from glintrack.cli.study import (
+    CacheOption,
+    InProcessOption,
+    MemoryOption,
+    SchedulerOption,
+    WorkersOption,
+    check_pool,
+    open_pool,
+)
+from glintrack.core.installation import require_extra
+from glintrack.core.units import format_duration
+from glintrack.io.cache import cache_folder
+from glintrack.optimize import (
+    Optimization,
+    OptimizationResult,
+    StudyRunner,
+    build_result,
+    read_optimization,
+    run_search,
+    write_result,
+)
+from glintrack.optimize.report import requirement_labels
+from glintrack.study import StudyEvent, StudyFolder, write_results
+
+app = command_app()
+
+
+@app.command()
+def optimize(
+    specification: Annotated[Path, argument("Optimization file (TOML)")],
+    output: Annotated[
+        Path | None, option("New folder [default: optimization-NAME]", "-o", "--output")
+    ] = None,
+    scheduler: SchedulerOption = None,
+    workers: WorkersOption = None,
+    in_process: InProcessOption = False,
+    memory: MemoryOption = None,
+    cache: CacheOption = None,
+    dry_run: Annotated[bool, option("Print ranges and time; simulate nothing", "--dry-run")] = False,
+    allow_outside_paths: OutsidePathsOption = False,
+) -> None:
+    """Search for the cheapest design that meets requirements, and confirm it over unseen cities.
+
+    Run it again to resume. Exit code 0: confirmed, 1: no design in the ranges meets them, 3: undecided.
+    """
+    check_pool(scheduler, workers, in_process)
+    require_extra("sklearn", "optimize", "search for a design")
+    setup = read_optimization(specification, allow_outside_paths)
+    folder = StudyFolder(output or Path(f"optimization-{setup.design.name}"))
+    console = open_console()
+    _print_setup(console, setup)
+    if dry_run:
+        console.print(f"dry run of {setup.design.name}: nothing written")
+        return
+    with open_pool(scheduler, workers, in_process, memory) as pool:
+        runner = StudyRunner(setup, folder, pool, cache or cache_folder("hits"))
+        runner.announce = lambda designs, cities, duration_s: console.print(
+            f"simulating {designs} designs in {cities} cities, {duration_s:g} s each"
+        )
+        runner.callback = lambda event: _print_failure(console, event)
+        with folder.open(runner.plan()):
+            result = _run(console, runner)
+    print_result(console, result)
+    console.print(f"wrote {folder.path} (`glintrack report {folder.path}` makes a page)")
+    check_answers([result.answer])
+
+
+def _run(console: Console, runner: StudyRunner) -> OptimizationResult:
+    """Search, and write the folder; an interrupt leaves what was simulated."""
+    folder = runner.folder
+    try:
+        outcome = run_search(runner)
+    except KeyboardInterrupt:
+        console.print(f"wrote {folder.path} (interrupted: the same command resumes it)")
+        raise typer.Exit(130) from None
+    finally:
+        if runner.rows:
+            write_results(runner.plan(), folder)
+    result = build_result(runner.optimization, outcome)
+    write_result(folder.path, result)
+    return result
+
+
+def _print_setup(console: Console, setup: Optimization) -> None:
+    """Print candidates, cost, requirements, and the longest time."""
+    problem, design = setup.problem, setup.design
+    low, high = problem.cost.min(), problem.cost.max()
+    console.print(
+        f"{design.name}: {len(problem.cost):,} designs of cost {low:.4g} to {high:.4g}; required: "
+        f"{', '.join(requirement_labels(setup))}; at most {problem.simulations} simulations, roughly "
+        f"{format_duration(problem.simulations * setup.cpu_s)} of processor time"
+    )
+    if setup.uses_recorded_traffic:
+        console.print(
+            "all cities have the same recorded traffic (`base.scene.traffic_duration_s = 130` gives each "
+            "its own; extra `traffic`)"
+        )
+
+
+def _print_failure(console: Console, event: StudyEvent) -> None:
+    if event.kind != "finished":
+        why = event.error.strip().splitlines()[-1] if event.error else "its worker died"
+        console.print(f"case {event.case_key} {event.kind}: {why}")
+
+
+def print_result(console: Console, result: OptimizationResult) -> None:
+    """Print tables, then the sentences."""
+    for table in result.tables:
+        console.print(make_table(table.title, table.heads, table.rows, left=table.words))
+    for sentence in result.sentences:
+        console.print(sentence)

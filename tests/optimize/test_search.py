@@ -1,0 +1,70 @@
+"""The search on stored grids whose answer is known, and the Gaussian process against closed forms."""
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+from scipy.stats import qmc
+
+from glintrack.optimize import find_cheapest
+from glintrack.optimize.surrogate import fit_gaussian_process, matern
+from tests.optimize.cameras import Grid
+
+
+def grid(seed, best=0.85):
+    """300 designs of two axes: custody rises with both, false tracks fall."""
+    places = qmc.Halton(2, rng=np.random.default_rng(seed)).random(300)
+    custody = 0.25 + (best - 0.25) * (1 - np.exp(-2 * places.mean(axis=1)))
+    means = np.column_stack([custody, 25 - 20 * places[:, 0] + 10 * places[:, 1]])
+    limits = ("custody>=0.6", "false_per_km2<=20")
+    return Grid(places, 1 + places @ [2.0, 3.0], means, limits, (0.05, 0.15), (0.04, 0.15), seed)
+
+
+def test_the_posterior_is_that_of_the_textbook():
+    """Eqs. (2.25) and (2.26) of Rasmussen and Williams, with the covariance that was fitted."""
+    rng = np.random.default_rng(1)
+    places, cities = rng.random((20, 2)), np.arange(20) % 4
+    scores = 3 + np.sin(3 * places[:, 0]) + 0.3 * cities + rng.normal(0, 0.05, 20)
+    fitted = fit_gaussian_process(places, cities, np.zeros(20, int), scores)
+    scaled = np.column_stack([places, np.zeros(20)]) / fitted.lengths
+    covariance = fitted.signal_variance * matern(cdist(scaled, scaled))
+    covariance += fitted.city_sd**2 * (cities[:, None] == cities) + fitted.noise_sd**2 * np.eye(20)
+    at = rng.random((5, 2))
+    cross = fitted.signal_variance * matern(
+        cdist(np.column_stack([at, np.zeros(5)]) / fitted.lengths, scaled)
+    )
+    mean, sd = fitted.predict(at)
+    np.testing.assert_allclose(
+        mean, scores.mean() + cross @ np.linalg.solve(covariance, scores - scores.mean())
+    )
+    gone = np.einsum("mi,im->m", cross, np.linalg.solve(covariance, cross.T))
+    np.testing.assert_allclose(sd, np.sqrt(fitted.signal_variance - gone), rtol=1e-6)
+    assert 0.02 < fitted.noise_sd < 0.15 and 0.1 < fitted.city_sd < 1.5  # of 0.05, and of 0.34
+
+
+def test_the_cheapest_design_is_found_and_confirmed_over_unseen_cities():
+    stored = grid(3)
+    found = find_cheapest(stored.problem(), stored.simulate)
+    assert found.answer == "yes" and stored.feasible[found.design]
+    assert stored.cost[found.design] <= 1.35 * stored.cost[stored.feasible].min()
+    assert stored.count <= 60
+    used = set(found.observations.city[found.observations.design != found.design].tolist())
+    assert len(found.confirming) == 6 and not used & set(found.confirming)
+
+
+def test_requirements_beyond_all_designs_are_not_met():
+    stored = grid(1, best=0.5)
+    found = find_cheapest(stored.problem(), stored.simulate)
+    assert found.answer == "no" and found.feasibility.max() < 0.1 and stored.count <= 60
+
+
+def test_a_small_budget_is_refused_before_the_first_simulation():
+    stored = grid(1)
+    with pytest.raises(ValueError, match="`simulations` must be at least 12 for 2 axes"):
+        find_cheapest(stored.problem(simulations=11), stored.simulate)
+    assert stored.count == 0
+
+
+def test_a_score_that_no_simulation_has_is_named():
+    stored = grid(1)
+    with pytest.raises(ValueError, match="`require` must name scores of the simulations; got custody"):
+        find_cheapest(stored.problem(), lambda *where: stored.simulate(*where) * [np.nan, 1])
