@@ -25,7 +25,7 @@ WORK = {
         "glintrack.devices.micromirror.model3d.superpixel_glb",
     ),
     "device wiregrid": ("glintrack.devices.wire_grid.response",),
-    "optimize": ("glintrack.optimize.read_optimization", "glintrack.optimize.run_search"),
+    "optimize": ("glintrack.study.optimize.read_optimization", "glintrack.study.optimize.run_search"),
     "ortho": ("glintrack.rectify",),
     "polarimetry": ("glintrack.measure_polarization", "glintrack.sensor.read_analysers"),
     "render": ("glintrack.render.frame.render_product", "glintrack.render.frame.cube_blocks"),

@@ -28,10 +28,9 @@ ALLOWED = {
     "loop": VOCABULARY | STAGES | {"case", "results"},
     "results.run": FILES | STAGES | {"bounds", "case", "loop"},
     "study": FILES | {"flight", "atmosphere", "metrics", "sensor", "render", "bounds", "case", "loop"},
-    "optimize": FILES | {"metrics", "sensor", "case", "study"},
     "dataset": FILES | STAGES | {"case", "results", "loop"},
-    "report": FILES | {"bounds", "case", "results", "metrics", "study", "optimize"},
-    "cli": FILES | STAGES | {"bounds", "case", "dataset", "loop", "optimize", "report", "results", "study"},
+    "report": FILES | {"bounds", "case", "results", "metrics", "study"},
+    "cli": FILES | STAGES | {"bounds", "case", "dataset", "loop", "report", "results", "study"},
     "__main__": {"cli"},
     # the package's own __init__
     "glintrack": VOCABULARY | STAGES | {"case", "loop", "results", "study"},

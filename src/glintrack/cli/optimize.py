@@ -27,7 +27,7 @@ from glintrack.cli.study import (
 from glintrack.core.installation import require_extra
 from glintrack.core.units import format_duration
 from glintrack.io.cache import cache_folder
-from glintrack.optimize import (
+from glintrack.study.optimize import (
     Optimization,
     OptimizationResult,
     StudyRunner,
@@ -36,7 +36,7 @@ from glintrack.optimize import (
     run_search,
     write_result,
 )
-from glintrack.optimize.report import requirement_labels
+from glintrack.study.optimize.report import requirement_labels
 from glintrack.study import StudyEvent, StudyFolder, write_results
 
 app = command_app()

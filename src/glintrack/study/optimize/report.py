@@ -16,8 +16,8 @@ from glintrack.core.designs import Design, validate_design
 from glintrack.io import atomic, images
 from glintrack.io.untrusted import read_json
 from glintrack.metrics.requirement import SHARES, Assessment, Requirement, assess
-from glintrack.optimize.search import Outcome, feasibility, inverse_transform
-from glintrack.optimize.spec import Optimization, is_ordered
+from glintrack.study.optimize.search import Outcome, feasibility, inverse_transform
+from glintrack.study.optimize.spec import Optimization, is_ordered
 from glintrack.study.analysis import LEVEL, pareto_front
 from glintrack.study.design import Axis, Level
 from glintrack.study.intervals import estimate

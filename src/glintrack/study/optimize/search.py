@@ -19,7 +19,7 @@ from scipy import stats
 
 from glintrack.core.arrays import Array
 from glintrack.metrics.requirement import SHARES, Requirement
-from glintrack.optimize.surrogate import GaussianProcess, fit_gaussian_process
+from glintrack.study.optimize.surrogate import GaussianProcess, fit_gaussian_process
 
 BATCH = 4  # designs that are simulated together, in the same city
 ATTEMPTS = 2  # confirmations for which simulations are reserved

@@ -4,7 +4,7 @@ The grid is the response surface that the packaged study `between` fitted to 48 
 along each axis, added). The noise is that which `between` and `standard` found between cities, and between
 simulations.
 
-    python -m tests.optimize.test_replay 100
+    python -m tests.study.optimize.test_replay 100
 """
 
 import sys
@@ -15,8 +15,8 @@ import pandas as pd
 import pytest
 from scipy.stats import qmc
 
-from glintrack.optimize import find_cheapest
-from tests.optimize.cameras import Grid
+from glintrack.study.optimize import find_cheapest
+from tests.study.optimize.cameras import Grid
 
 FINDINGS = Path(__file__).parents[2] / "docs" / "findings"
 AXES = ("sensor.pitch_um", "sensor.clock_hz", "flight.off_nadir_deg", "sensor.integration_time_ms")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from glintrack.optimize import read_optimization
-from tests.optimize.cameras import SPEC, write_spec
+from glintrack.study.optimize import read_optimization
+from tests.study.optimize.cameras import SPEC, write_spec
 
 PITCH, RATE = "sensor.pitch_um = { from = 8, to = 17 }", "flight.rate_hz = { from = 1, to = 4 }"
 REQUIRE = 'require = ["custody >= 0.6", "false_per_km2 <= 20"]'

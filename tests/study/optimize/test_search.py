@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
-from glintrack.optimize import find_cheapest
-from glintrack.optimize.surrogate import fit_gaussian_process, matern
-from tests.optimize.cameras import Grid
+from glintrack.study.optimize import find_cheapest
+from glintrack.study.optimize.surrogate import fit_gaussian_process, matern
+from tests.study.optimize.cameras import Grid
 
 
 def grid(seed, best=0.85):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from glintrack.metrics.requirement import read_requirement
-from glintrack.optimize import Problem
+from glintrack.study.optimize import Problem
 
 SPEC = """
 case = "base.toml"
