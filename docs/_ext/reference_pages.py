@@ -11,8 +11,8 @@ from glintrack.case.design import Case
 from glintrack.cli.app import load_program
 from glintrack.core.designs import keys_of
 from glintrack.core.schema import SCHEMAS
-from glintrack.study.optimize import OptimizationDesign
 from glintrack.study import StudyDesign
+from glintrack.study.optimize import OptimizationDesign
 
 
 def setup(app) -> dict:

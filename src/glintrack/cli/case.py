@@ -109,9 +109,11 @@ def check(
 
 def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
     """Print a table of judgements, and below it the reasons of those that are not good."""
-    value = "value, frame" if any(one.view for one in judgements) else "value"
+    headings = ["quantity", "value", "judgement", "good is"]
+    if any(one.view for one in judgements):
+        headings[1] = "value, frame"
     rows = [(one.label, f"{one.text} {one.view}".strip(), one.answer, one.good) for one in judgements]
-    console.print(make_table(None, ("quantity", value, "judgement", "good is"), rows, left=4))
+    console.print(make_table(None, headings, rows, left=4))
     for one in judgements:
         if one.reason:
             console.print(f"{one.answer}{f' ({one.view} frame)' if one.view else ''}: {one.reason}")

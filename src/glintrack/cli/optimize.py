@@ -27,6 +27,7 @@ from glintrack.cli.study import (
 from glintrack.core.installation import require_extra
 from glintrack.core.units import format_duration
 from glintrack.io.cache import cache_folder
+from glintrack.study import StudyEvent, StudyFolder, write_results
 from glintrack.study.optimize import (
     Optimization,
     OptimizationResult,
@@ -37,7 +38,6 @@ from glintrack.study.optimize import (
     write_result,
 )
 from glintrack.study.optimize.report import requirement_labels
-from glintrack.study import StudyEvent, StudyFolder, write_results
 
 app = command_app()
 

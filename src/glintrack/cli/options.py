@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import typer.core
@@ -14,10 +14,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from glintrack.case.design import Case
 from glintrack.core.progress import listen
 from glintrack.io.readings import Reading
 from glintrack.io.untrusted import plain
+
+if TYPE_CHECKING:  # a case loads numba, which `--help` does without
+    from glintrack.case.design import Case
 
 STYLE: dict = {
     "add_completion": False,
@@ -181,7 +183,7 @@ def show_wait(console: Console, description: str) -> Iterator[None]:
         yield
 
 
-def limit_frames(case: Case, frames: int | None) -> Case:
+def limit_frames(case: "Case", frames: int | None) -> "Case":
     """Case with at most some frames; warns where it has fewer."""
     whole = case.flight.frames
     if frames is not None and frames > whole:

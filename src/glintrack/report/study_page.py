@@ -17,12 +17,12 @@ import numpy as np
 import pandas as pd
 
 from glintrack.core.schema import CHANNEL_WORDS
-from glintrack.study.optimize.report import INTERVAL_DEVIATE, OptimizationResult, SliderAxis
-from glintrack.study.optimize.report import read_result as read_optimization_result
-from glintrack.study.optimize.spec import WORD_DISTANCE
 from glintrack.report.page import flatten, in_code, read_terms, render_page, script_json
 from glintrack.study import analyse, read_results
 from glintrack.study.analysis import CHANCE, labels
+from glintrack.study.optimize.report import INTERVAL_DEVIATE, OptimizationResult, SliderAxis
+from glintrack.study.optimize.report import read_result as read_optimization_result
+from glintrack.study.optimize.spec import WORD_DISTANCE
 from glintrack.study.report import response_surfaces, view_notes
 from glintrack.study.text_tables import (
     NAMES,

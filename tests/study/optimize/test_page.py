@@ -6,12 +6,12 @@ import re
 import numpy as np
 import pytest
 
+from glintrack.report.study_page import build_study_page
+from glintrack.study import StudyFolder, read_plan, read_results, run_study, serial, write_results
 from glintrack.study.optimize import StudyRunner, build_result, read_optimization, write_result
 from glintrack.study.optimize.report import INTERVAL_DEVIATE
 from glintrack.study.optimize.run import run_search
 from glintrack.study.optimize.spec import encode
-from glintrack.report.study_page import build_study_page
-from glintrack.study import StudyFolder, read_plan, read_results, run_study, serial, write_results
 from glintrack.study.report import response_surfaces
 from tests.study.optimize.cameras import SPEC, camera, write_spec
 

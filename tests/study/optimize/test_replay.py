@@ -18,7 +18,7 @@ from scipy.stats import qmc
 from glintrack.study.optimize import find_cheapest
 from tests.study.optimize.cameras import Grid
 
-FINDINGS = Path(__file__).parents[2] / "docs" / "findings"
+FINDINGS = Path(__file__).parents[3] / "docs" / "findings"
 AXES = ("sensor.pitch_um", "sensor.clock_hz", "flight.off_nadir_deg", "sensor.integration_time_ms")
 SPECS = {
     "sensitive": ("all.completeness_visible>=0.66", "all.false_per_km2<=20"),

@@ -7,9 +7,9 @@ from typer.testing import CliRunner
 
 from glintrack.cli import optimize as command
 from glintrack.cli.app import app
+from glintrack.study import StudyFolder, read_results, serial
 from glintrack.study.optimize import StudyRunner, read_optimization, read_result
 from glintrack.study.optimize.run import run_search
-from glintrack.study import StudyFolder, read_results, serial
 from tests.study.optimize.cameras import SPEC, camera, true_scores, write_spec
 
 

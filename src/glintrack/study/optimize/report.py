@@ -16,11 +16,11 @@ from glintrack.core.designs import Design, validate_design
 from glintrack.io import atomic, images
 from glintrack.io.untrusted import read_json
 from glintrack.metrics.requirement import SHARES, Assessment, Requirement, assess
-from glintrack.study.optimize.search import Outcome, feasibility, inverse_transform
-from glintrack.study.optimize.spec import Optimization, is_ordered
 from glintrack.study.analysis import LEVEL, pareto_front
 from glintrack.study.design import Axis, Level
 from glintrack.study.intervals import estimate
+from glintrack.study.optimize.search import Outcome, feasibility, inverse_transform
+from glintrack.study.optimize.spec import Optimization, is_ordered
 from glintrack.study.text_tables import TextTable
 
 RESULT = "optimization.json"
@@ -155,7 +155,8 @@ def _confirmation(setup: Optimization, outcome: Outcome, k: int) -> Assessment |
 
 def _requirements_table(setup: Optimization, outcome: Outcome, labels: Sequence[str]) -> TextTable:
     """Prediction and confirming simulations of each requirement at the answer's design."""
-    place, rows = setup.problem.places[outcome.design][None], []
+    place = setup.problem.places[outcome.design][None]
+    predictions, confirmations = [], []
     probable = _of_requirements(setup, outcome)[outcome.design]
     for k, requirement in enumerate(setup.problem.requirements):
         middle, sd = outcome.processes[k].predict(place)
@@ -166,10 +167,11 @@ def _requirements_table(setup: Optimization, outcome: Outcome, labels: Sequence[
         fresh, said = _confirmation(setup, outcome, k), "–"
         if fresh is not None:
             said = f"{fresh.value:.3g} ({fresh.low:.3g} to {fresh.high:.3g}), met: {fresh.answer}"
-        predicted = f"{value:.3g} ({low:.3g} to {high:.3g})"
-        rows.append((labels[k], predicted, _share(probable[k]), said))
+        predictions.append(f"{value:.3g} ({low:.3g} to {high:.3g})")
+        confirmations.append(said)
+    rows = tuple(zip(labels, predictions, map(_share, probable), confirmations, strict=True))
     heads = ("requirement", "score (90 % interval)", "probability", "unseen cities alone (95 % interval)")
-    return TextTable("the design's scores, means over cities", heads, tuple(rows), words=2)
+    return TextTable("the design's scores, means over cities", heads, rows, words=2)
 
 
 def _share(probability: float) -> str:

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
+from glintrack.study.folder import StudyFolder
 from glintrack.study.optimize.search import Outcome, find_cheapest
 from glintrack.study.optimize.spec import CONDITION, DURATION, Optimization, study_of
-from glintrack.study.folder import StudyFolder
 from glintrack.study.plan import Plan, Point, build_plan
 from glintrack.study.run import StudyEvent, run_study
 from glintrack.study.workers import Pool, Simulate, simulate_case

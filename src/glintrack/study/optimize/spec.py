@@ -18,9 +18,9 @@ from glintrack.core.designs import Design, keys_of, suggest_name, validate_desig
 from glintrack.io.atomic import content_hash
 from glintrack.io.toml import read_toml
 from glintrack.metrics.requirement import Requirement, read_requirement
-from glintrack.study.optimize.search import Problem
 from glintrack.sensor.catalogue import find_item, read_catalogue
 from glintrack.study.design import Axis, Constraints, Level, StudyDesign, build_axes, flat, unit_points
+from glintrack.study.optimize.search import Problem
 from glintrack.study.plan import build_plan, find_base
 
 DATA_RATE = "data_rate_mbit_s"
