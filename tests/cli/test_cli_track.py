@@ -2,6 +2,7 @@
 
 import json
 import sys
+import tomllib
 
 import numpy as np
 import pandas as pd
@@ -11,9 +12,13 @@ import rasterio
 import xarray as xr
 
 from glintrack import metrics
+from glintrack.camera import Camera, Pose, ground_points, look_at
 from glintrack.cli import app
 from glintrack.io.detections import read_detections, read_truth
+from glintrack.io.photographs import PlacedPose, camera_file, pose_file, read_poses
+from glintrack.io.toml import to_toml
 from glintrack.io.tracks import TRACK_COLUMNS, WRITERS
+from glintrack.ortho.posed_frames import rectify_frames
 from glintrack.results.froc import froc
 from glintrack.track.files import track_detections
 from tests.ortho.test_stabilization import ground as painted_ground
@@ -313,7 +318,10 @@ def test_bad_frames_are_one_sentence(tmp_path, monkeypatch, capsys, make, extra,
         (("--crs", "EPSG:32619"), "`crs` must be the frames' own, EPSG:32618; got EPSG:32619"),
         (("--crs", "EPSG:4326"), "`crs` must be projected and in metres"),
         (("--rate", "inf"), "`rate` must be 0.1 to 1,000 Hz; got inf"),
-        (("--area", "0", "0", "9", "9"), "`area` must be used with detections; got 0.0 0.0 9.0 9.0"),
+        (
+            ("--area", "0", "0", "9", "9"),
+            "`area` must be used with detections or --poses; got 0.0 0.0 9.0 9.0",
+        ),
         (("--features", "none"), "`features` must be used with detections; got none"),
         (("--geotransform", "0", "nan", "1"), "`geotransform` must have edges within ±1e+08 m"),
         (("--geotransform", "0", "0", "inf"), "`geotransform` must have edges within ±1e+08 m and pixels"),
@@ -484,3 +492,125 @@ def test_motchallenge_text_keeps_its_frames_and_pixels(tmp_path, monkeypatch, ca
     assert frame.max() == 30 and len(frame) > 20
     np.testing.assert_allclose(left + wide / 2, 20 + 8 * frame + 4.5, atol=1.0)
     np.testing.assert_allclose(top + high / 2, 42.5, atol=1.0)
+
+
+LENS = Camera(0.05, 30e-6, 150, 170)
+GROUND_M, FLIGHT_CRS, FLIGHT_ORIGIN_M = 120.0, "EPSG:32632", (604000.0, 5792000.0)
+
+
+def dot_m(time_s):
+    """Place of the moving dot from the flight's origin. [m]"""
+    return np.array([-40.0 + 11.0 * time_s, 12.0 + 3.0 * time_s])
+
+
+def counts_at(east_north, time_s):
+    """Counts of the ground with its dot at places from the flight's origin. [m]"""
+    waves = np.random.default_rng(5).uniform(-0.25, 0.25, (40, 2))
+    values = 100 + 4 * np.sin(east_north @ waves.T + np.arange(40)).sum(axis=-1)
+    away = np.abs(east_north - dot_m(time_s)) - (2.2, 1.0)
+    return np.clip(values + 120 / (1 + np.exp(4 * away.max(axis=-1))), 0, 255)
+
+
+def write_flight(folder, count=9, step_s=0.5):
+    """Frames of a camera that flies, turns and leans over flat ground with a moving dot, and its poses."""
+    folder.mkdir()
+    (folder.parent / "camera.toml").write_text(camera_file(LENS))
+    pixels, poses = np.stack(np.indices((LENS.rows, LENS.columns)), axis=-1).astype(float), []
+    for k in range(count):
+        pose = look_at(Pose(-60.0 + 8 * k, 180.0, 1120.0), (-10.0 + 6.0 * k, 15.0 - 2.0 * k, GROUND_M))
+        east_north = ground_points(LENS, pose, pixels.reshape(-1, 2), GROUND_M)[:, :2]
+        image = counts_at(east_north, k * step_s).astype(np.uint8).reshape(LENS.rows, LENS.columns)
+        PIL.Image.fromarray(image).save(folder / f"f{k}.png")
+        text = pose_file(PlacedPose(pose, FLIGHT_CRS, FLIGHT_ORIGIN_M))
+        poses.append({"name": f"f{k}.png", **tomllib.loads(text)})
+    table = pd.DataFrame(poses)
+    table.to_csv(folder.parent / "poses.csv", index=False)
+    return table
+
+
+def test_frames_with_poses_give_tracks_in_metres_of_the_map(tmp_path, monkeypatch, capsys):
+    """The dot's track is where the dot is, in the CRS of the poses, while the camera flies and turns."""
+    write_flight(tmp_path / "f")
+    ways = ("--camera", tmp_path / "camera.toml", "--poses", tmp_path / "poses.csv", "--height", GROUND_M)
+    code, said, wrong = run(
+        monkeypatch, capsys, "track", tmp_path / "f", "-o", tmp_path / "out", *ways, "--rate", 2, "--report"
+    )
+    assert code == 0, wrong
+    assert "1 track over 9 frames" in said
+    table = pd.read_csv(tmp_path / "out" / "tracks.csv")
+    off_m = table[["east_m", "north_m"]].to_numpy() - FLIGHT_ORIGIN_M
+    off_m -= np.array([dot_m(time_s) for time_s in table["time_s"]])
+    a_pixel_m = 0.6
+    assert len(table) >= 8 and np.abs(off_m).max() < 1.5 * a_pixel_m
+    assert np.sqrt((off_m**2).mean()) < a_pixel_m
+    assert all((tmp_path / "out" / f"tracks{ending}").exists() for ending in WRITERS)
+
+
+def test_rectified_frames_show_the_ground_where_it_is(tmp_path):
+    """Shift of every frame against the closed form, by least squares over its gradients."""
+    write_flight(tmp_path / "f", 3)
+    files = (tmp_path / name for name in ("f", "camera.toml", "poses.csv"))
+    a_fiftieth_of_a_pixel_m, step_m = 0.012, 0.05
+    for time_s, image in rectify_frames(*files, GROUND_M, rate_hz=2).frames:
+        axes = image["x"].values - FLIGHT_ORIGIN_M[0], image["y"].values - FLIGHT_ORIGIN_M[1]
+        places = np.stack(np.meshgrid(*axes), axis=-1)
+        steps = np.array([[step_m, 0.0], [0.0, step_m]])
+        slopes = [(counts_at(places + s, time_s) - counts_at(places - s, time_s)) / 0.1 for s in steps]
+        error = image["pan"].values - counts_at(places, time_s)
+        seen_here = np.isfinite(error)
+        shift_m, *_ = np.linalg.lstsq(np.stack(slopes, -1)[seen_here], error[seen_here], rcond=None)
+        assert seen_here.mean() > 0.3 and np.abs(shift_m).max() < a_fiftieth_of_a_pixel_m
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (("--poses", "poses.csv", "--height", 120), "`camera` must be given with --poses"),
+        (("--poses", "poses.csv", "--camera", "camera.toml"), "must get one of --dem and --height; got none"),
+        (
+            ("--poses", "short.csv", "--camera", "camera.toml", "--height", 120),
+            "must have one row named f3.png",
+        ),
+        (("--poses", "none", "--camera", "camera.toml", "--height", 120), "folder; got"),
+        (("--poses", "f", "--camera", "camera.toml", "--height", 120), "got none for 4 of 4, first f0.pose"),
+        (
+            ("--poses", "poses.csv", "--camera", "camera.toml", "--height", 1200),
+            "frame f0.png: `pose.height_m` must be above the ground",
+        ),
+        (
+            ("--poses", "poses.csv", "--camera", "camera.toml", "--height", 120, "--stabilize"),
+            "`stabilize` must be used with frames without --poses",
+        ),
+        (
+            ("--poses", "poses.csv", "--camera", "camera.toml", "--height", 120, "--gsd", 0.05),
+            "`area` must have at most 637,500 cells",
+        ),
+        (
+            ("--poses", "poses.csv", "--camera", "camera.toml", "--height", 120, "--area", 0, 0, 100, 100),
+            "frame f0.png: `area` and `gsd` must give cells on ground that the frame sees",
+        ),
+        (
+            ("--poses", "poses.csv", "--camera", "camera.toml", "--height", 120, "--times", "times.csv"),
+            "`times` must have one row for each frame; got 3 for 4 frames",
+        ),
+        (("--height", 120), "`height` must be used with --poses"),
+    ],
+)
+def test_wrong_poses_of_frames_are_one_sentence(options, complaint, tmp_path, monkeypatch, capsys):
+    table = write_flight(tmp_path / "f", 4)
+    table.head(3).to_csv(tmp_path / "short.csv", index=False)
+    (tmp_path / "times.csv").write_text("time_s\n0\n1\n2\n")
+    monkeypatch.chdir(tmp_path)
+    rate = () if "--times" in options else ("--rate", 2)
+    code, _, said = run(monkeypatch, capsys, "track", "f", "-o", "out", *options, *rate)
+    assert code == 2 and complaint in said and not (tmp_path / "out").exists()
+
+
+def test_poses_in_a_folder_of_files_are_those_of_the_table(tmp_path):
+    write_flight(tmp_path / "f", 3)
+    names = [f"f{k}.png" for k in (2, 0)]
+    table = pd.read_csv(tmp_path / "poses.csv").set_index("name")
+    for name, row in table.iterrows():
+        place = {key: (value if isinstance(value, str) else float(value)) for key, value in row.items()}
+        (tmp_path / "f" / f"{name[:-4]}.pose.toml").write_text(to_toml(place))
+    assert read_poses(tmp_path / "f", names) == read_poses(tmp_path / "poses.csv", names)

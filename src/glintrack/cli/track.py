@@ -21,6 +21,7 @@ from glintrack.io.orthoimages import FrameSource, Geotransform, open_frames, rea
 from glintrack.io.readings import report_reading
 from glintrack.io.toml import read_toml
 from glintrack.io.tracks import WRITERS, TrackGeoreference, track_table, write_tables
+from glintrack.ortho.posed_frames import rectify_frames
 from glintrack.ortho.stabilization import register_frames, stabilize
 from glintrack.report.frames_page import FrameFilm, write_frames_page
 from glintrack.results.froc import FROC_SCORES, froc
@@ -52,7 +53,9 @@ def track_files(
     output: Annotated[Path, option(f"New folder for tracks{', tracks'.join(WRITERS)}", "-o", "--output")],
     sigma_m: Annotated[float, option("Standard deviation of positions [m]", "--sigma-m")] = 0.5,
     features: Annotated[str | None, option("Feature columns, with commas, or 'none' [default: all]")] = None,
-    area: Annotated[Area | None, option("West, south, east, north of the tracked area [m]")] = None,
+    area: Annotated[
+        Area | None, option("West, south, east, north of the tracked area, also with --poses [m]")
+    ] = None,
     rate_hz: Annotated[float | None, option("Frame rate if frames have no times [Hz]", "--rate")] = None,
     geotransform: Annotated[Corner | None, option("West and north edge and pixel size of frames [m]")] = None,
     crs: Annotated[str | None, option("Projected CRS of the coordinates, such as EPSG:32618")] = None,
@@ -64,6 +67,13 @@ def track_files(
         bool, option("Stabilize frames of a moving camera first (extra `stabilize`)", "--stabilize")
     ] = False,
     times: Annotated[Path | None, option("CSV file with time_s of each frame [s]", "--times")] = None,
+    poses: Annotated[
+        Path | None, option("Poses of the frames of a moving camera: CSV file, or folder of NAME.pose.toml")
+    ] = None,
+    camera: Annotated[Path | None, option("With --poses: camera file, as for ortho")] = None,
+    height: Annotated[float | None, option("With --poses: one height for all the ground [m]")] = None,
+    dem: Annotated[Path | None, option("With --poses: raster of ground heights [m]")] = None,
+    gsd: Annotated[float | None, option("With --poses: cell size [m] [default: a pixel's]")] = None,
     has_page: Annotated[
         bool, option("Write report.html: film of the frames, tracks, counts", "--report")
     ] = False,
@@ -78,8 +88,10 @@ def track_files(
     changes = {} if design is None else over_like(read_toml(design, "design"))
     changes = flat(changes.get("track", changes))
     grid = None if geotransform is None else Geotransform(*geotransform)
+    of_poses = {"camera": camera, "height": height, "dem": dem, "gsd": gsd}
     if source.suffix.lower() in (".csv", ".txt"):
         only_frames = {"stabilize": uses_stabilization or None, "report": has_page or None, "times": times}
+        only_frames |= {"poses": poses, **of_poses}
         _check_unused("frames", source, channel=channel, **only_frames)
         if source.suffix.lower() == ".csv":
             _check_unused("frames or MOT .txt", source, rate=rate_hz, geotransform=geotransform)
@@ -102,15 +114,28 @@ def track_files(
         if froc_truth is not None:
             swept = froc(table, read_truth(froc_truth, rate_hz, grid), FROC_SCORES, tracker, area)
     else:
-        _check_unused("detections", source, froc=froc_truth, features=features, area=area)
+        _check_unused("detections", source, froc=froc_truth, features=features)
+        if poses is None:
+            _check_unused("detections or --poses", source, area=area)
+            _check_unused("--poses", source, **of_poses)
+        else:
+            stabilize_too = uses_stabilization or None
+            _check_unused(
+                "frames without --poses", source, stabilize=stabilize_too, geotransform=geotransform
+            )
         tracker = frames_design(changes | ({} if channel is None else {"detect.channel": channel}))
         tracker = strict_design(tracker) if strict else tracker
         times_s = None if times is None else read_frame_times(times)
-        frames = open_frames(source, rate_hz, grid, times_s)
+        if poses is not None:
+            lens, ground = _camera_and_ground(camera, height, dem)
+            options = {"crs": crs, "gsd_m": gsd, "area_m": area, "rate_hz": rate_hz, "times_s": times_s}
+            frames = rectify_frames(source, lens, poses, ground, **options)
+        else:
+            frames = open_frames(source, rate_hz, grid, times_s)
         if crs is not None and frames.crs is not None and metric_crs(crs) != metric_crs(frames.crs):
             raise ValueError(f"`crs` must be the frames' own, {frames.crs}; got {crs}. Leave --crs out.")
         if uses_stabilization:
-            frames = _stabilize(console, source, frames, open_frames(source, rate_hz, grid, times_s))
+            frames = stabilize_frames(console, source, frames, open_frames(source, rate_hz, grid, times_s))
         film = FrameFilm() if has_page else None
         rows, place = _track_frames(console, source, frames, tracker, film)
         place = replace(place, crs=crs or frames.crs)
@@ -120,7 +145,21 @@ def track_files(
         console.print(f"no tracks: {_explain_no_tracks(place.times_s)}")
 
 
-def _stabilize(console: Console, source: Path, frames: FrameSource, again: FrameSource) -> FrameSource:
+def _camera_and_ground(
+    camera: Path | None, height: float | None, dem: Path | None
+) -> tuple[Path, Path | float]:
+    """Camera file and ground of frames with poses, which are needed."""
+    if camera is None:
+        raise ValueError("`camera` must be given with --poses; got none. Give --camera FILE.")
+    if height is None and dem is not None:
+        return camera, dem
+    if height is not None and dem is None:
+        return camera, height
+    got = "none" if dem is None else "both"
+    raise ValueError(f"`glintrack track --poses` must get one of --dem and --height; got {got}.")
+
+
+def stabilize_frames(console: Console, source: Path, frames: FrameSource, again: FrameSource) -> FrameSource:
     """Register all frames, and return them on one grid."""
     images = (image["pan"].values for _, image in frames.frames)
     with Bar(console, transient=True) as bar:

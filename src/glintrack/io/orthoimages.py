@@ -156,12 +156,18 @@ def check_grid(grid: Geotransform, what: str) -> None:
         )
 
 
-def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
-    kinds = [[p for p in folder.iterdir() if p.suffix.lower() in kind] for kind in RASTERS]
-    files = sorted(next((one for one in kinds if one), []), key=natural_order)
+def list_frames(folder: Path, kinds: Sequence[Sequence[str]] = RASTERS) -> tuple[list[Path], int]:
+    """List the files of the first kind that a folder has, in natural order, and count all others."""
+    found = [[p for p in folder.iterdir() if p.suffix.lower() in kind] for kind in kinds]
+    files = sorted(next((one for one in found if one), []), key=natural_order)
     if not files:
-        known = " ".join(suffix for kind in RASTERS for suffix in kind)
+        known = " ".join(suffix for kind in kinds for suffix in kind)
         raise ValueError(f"`frames` must be a folder with rasters ({known}); got none in {folder}.")
+    return files, sum(map(len, found)) - len(files)
+
+
+def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
+    files, others = list_frames(folder)
     channels = sorted({file.name.split("_")[0] for file in files} & set(_CHANNELS))
     if len(channels) > 1:
         raise ValueError(
@@ -171,12 +177,13 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
     first = _raster(files[0], geotransform)
     _check_place(first.crs, first.grid)
     dolp = {"I", "Q", "U"} <= set(first.bands)
-    count, others = sum(map(len, kinds)), {f"not {files[0].suffix}": sum(map(len, kinds)) - len(files)}
+    left_out = {f"not {files[0].suffix}": others}
     pan = "band pan" if "pan" in first.bands else f"mean of {', '.join(first.bands)}"
-    report_reading(folder, "frames", count, len(files), others, (f"radiance: {pan}", *first.notes))
+    notes = f"radiance: {pan}", *first.notes
+    report_reading(folder, "frames", len(files) + others, len(files), left_out, notes)
     if rate_hz is None:
         check_steps(
-            [time for file in files[:_FIRST] if (time := _read_time(file)) is not None], "time_s", folder
+            [time for file in files[:_FIRST] if (time := read_frame_time(file)) is not None], "time_s", folder
         )
 
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
@@ -191,7 +198,8 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
     return FrameSource(len(files), first.crs, dolp, frames())
 
 
-def _read_time(path: Path) -> float | None:
+def read_frame_time(path: Path) -> float | None:
+    """Read the tag ``time_s`` of a raster; None without one. [s]"""
     with open_bands(path, "frames", "readable rasters") as file:
         return time_tag(file.tags(), path)
 

@@ -5,13 +5,14 @@ precision.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
+import pandas as pd
 import pyproj
 from jaxtyping import Float
 from pydantic import Field, model_validator
@@ -198,10 +199,42 @@ def read_pose(path: Path, frame_name: str) -> PlacedPose:
         In one sentence: the fault of the file.
     """
     if path.suffix.lower() == ".csv":
-        table = _read_row(path, frame_name)
-    else:
-        table = read_toml(path, "pose")
-        table = table.get("pose", table)
+        return read_poses(path, [frame_name])[0]
+    table = read_toml(path, "pose")
+    return _place(table.get("pose", table), path)
+
+
+def read_poses(path: Path, frame_names: Sequence[str]) -> list[PlacedPose]:
+    """Read the pose of each frame, in the order of the names.
+
+    Parameters
+    ----------
+    path
+        A CSV file as in `read_pose`, or a folder with a file ``NAME.pose.toml`` for each frame, NAME without
+        its ending.
+    frame_names
+        File names of the frames.
+
+    Raises
+    ------
+    ValueError
+        If the pose of a frame is missing, twice, or invalid.
+    """
+    if path.suffix.lower() == ".csv":
+        return [_place(row, path) for row in _read_rows(path, frame_names)]
+    if not path.is_dir():
+        raise ValueError(f"`poses` must be a CSV file with a row for each frame, or a folder; got {path}.")
+    files = [path / f"{Path(name).stem}.pose.toml" for name in frame_names]
+    if missing := [file.name for file in files if not file.is_file()]:
+        raise ValueError(
+            f"`poses` must have a file for each frame; got none for {len(missing)} of {len(files)}, "
+            f"first {missing[0]}."
+        )
+    return [read_pose(file, "") for file in files]
+
+
+def _place(table: Mapping[str, Any], path: Path) -> PlacedPose:
+    """Check the values of a pose file, and place them in its CRS."""
     _check_kind("pose", table, path)
     file = validate_design(PoseFile, table)
     crs = metric_crs(file.crs)
@@ -243,17 +276,28 @@ def _check_kind(expected: str, table: Mapping[str, Any], path: Path) -> None:
         )
 
 
-def _read_row(path: Path, frame_name: str) -> dict[str, str | float]:
-    """Values of a frame's row in a CSV file of poses; numbers where the key is a number."""
+def _read_rows(path: Path, frame_names: Sequence[str]) -> list[dict[str, str | float]]:
+    """Values of the frames' rows in a CSV file of poses; numbers where the key is a number."""
     table = read_csv(path, "pose", types=str)
     if "name" not in table:
         raise ValueError(f"`pose` must have a header with a column `name`; got none in {path.name}.")
-    mine = table[table["name"].isin((frame_name, Path(frame_name).stem))]
-    if len(mine) != 1:
-        raise ValueError(f"`pose` must have one row named {frame_name}; got {len(mine)} in {path.name}.")
-    report_reading(path, "poses", len(table), 1, {"of other frames": len(table) - 1})
-    cells = {str(key): str(value).strip() for key, value in mine.iloc[0].items()}
-    values: dict[str, str | float] = {key: cell for key, cell in cells.items() if key != "name" and cell}
+    names, found = table.pop("name"), []
+    for frame_name in frame_names:
+        mine = np.flatnonzero(names.isin((frame_name, Path(frame_name).stem)))
+        if len(mine) != 1:
+            raise ValueError(
+                f"`pose` must have one row named {frame_name}; got {len(mine)} among {len(table)} rows in "
+                f"{path.name}."
+            )
+        found.append(int(mine[0]))
+    others = len(table) - len(set(found))
+    report_reading(path, "poses", len(table), len(set(found)), {"of other frames": others})
+    return [_row_values(table.iloc[k]) for k in found]
+
+
+def _row_values(row: pd.Series) -> dict[str, str | float]:
+    cells = {str(key): str(value).strip() for key, value in row.items()}
+    values: dict[str, str | float] = {key: cell for key, cell in cells.items() if cell}
     for key in values:
         if float in types_of(PoseFile, key):
             with suppress(ValueError):

@@ -173,25 +173,12 @@ def rectify(
     source = frame if isinstance(frame, xr.Dataset) else Path(frame)
     name = "" if isinstance(source, xr.Dataset) else source.name
     placed = pose if isinstance(pose, PlacedPose) else read_pose(Path(pose), name)
-    pixels = frame_border(lens) if area is None else np.array([lens.principal_point])
-    if (rays(lens, placed.pose, pixels)[..., 2] > -1e-3).any():
-        remedy = "Check the angles' signs and units." if area else "Give --area to rectify a part."
-        raise ValueError(
-            f"`pose` must look below the horizon; got a line of sight at or above it in the frame. {remedy}"
-        )
-    _check_order(lens, placed)
+    levels = ground_levels(ground)
+    check_pose(lens, placed, levels, is_whole=area is None)
     photograph = Photograph.read(source, lens, placed)
-    level = isinstance(ground, int | float)
-    if level and not MIN_HEIGHT_M <= ground <= MAX_HEIGHT_M:
-        raise ValueError(f"`height` must lie within {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m; got {ground:g}.")
-    levels = (float(ground), float(ground)) if level else read_height_range(Path(ground), "dem")
-    if placed.pose.up_m <= levels[0]:
-        raise ValueError(
-            f"`pose.height_m` must be above the ground, {levels[0]:g} m at its lowest; "
-            f"got {placed.pose.up_m:g} m. Are both in the same heights?"
-        )
     grid = MapGrid.over(lens, placed, levels, crs, gsd, area)
     east, north = grid.places(placed)
+    level = isinstance(ground, int | float)
     height = np.full(east.shape, ground, float) if level else heights_under(Path(ground), "dem", grid, placed)
     void = _void_share(height, lens, placed, east, north)
     bands = photograph.onto(east, north, height, method)
@@ -214,6 +201,31 @@ def rectify(
             f"{bands.shape[1]} cells without any. Both are in units of the CRS: degrees for EPSG:4326."
         )
     return Orthophoto(bands, names, grid, tags, photograph.dtype if photograph.dtype in _EXACT else "float32")
+
+
+def ground_levels(ground: Path | str | float) -> tuple[float, float]:
+    """Lowest and highest ground of a raster, or twice the one height, which is checked. [m]"""
+    if not isinstance(ground, int | float):
+        return read_height_range(Path(ground), "dem")
+    if not MIN_HEIGHT_M <= ground <= MAX_HEIGHT_M:
+        raise ValueError(f"`height` must lie within {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m; got {ground:g}.")
+    return float(ground), float(ground)
+
+
+def check_pose(camera: Camera, placed: PlacedPose, levels_m: tuple[float, float], is_whole: bool) -> None:
+    """Refuse a pose under ground, at the horizon (with any pixel if the frame is taken whole), or unclear."""
+    pixels = frame_border(camera) if is_whole else np.array([camera.principal_point])
+    if (rays(camera, placed.pose, pixels)[..., 2] > -1e-3).any():
+        remedy = "Give --area to rectify a part." if is_whole else "Check the angles' signs and units."
+        raise ValueError(
+            f"`pose` must look below the horizon; got a line of sight at or above it in the frame. {remedy}"
+        )
+    _check_order(camera, placed)
+    if placed.pose.up_m <= levels_m[0]:
+        raise ValueError(
+            f"`pose.height_m` must be above the ground, {levels_m[0]:g} m at its lowest; "
+            f"got {placed.pose.up_m:g} m. Are both in the same heights?"
+        )
 
 
 def _check_order(camera: Camera, placed: PlacedPose) -> None:

@@ -13,6 +13,7 @@ from rasterio.warp import Resampling, reproject
 
 from glintrack.camera import Camera, ground_points
 from glintrack.core.arrays import Array
+from glintrack.core.records import Extent
 from glintrack.io.heights import (
     Heights,
     NotReachedError,
@@ -62,7 +63,7 @@ class MapGrid:
         """Build a grid over a camera's footprint between two heights, or over an area; see `rectify`."""
         own = placed.crs if crs is None else crs
         if area is None:
-            area = _footprint(camera, placed, levels_m, own)
+            area = footprint(camera, placed, levels_m, own)
         if gsd is None:
             if crs is not None and CRS.from_user_input(own).is_geographic:
                 raise ValueError(f"`gsd` must be given in degrees for a geographic CRS; got none for {crs}.")
@@ -110,13 +111,13 @@ def frame_border(camera: Camera) -> Array:
     return np.concatenate(edges)
 
 
-def _footprint(camera: Camera, placed: PlacedPose, levels: tuple[float, float], crs: str) -> tuple:
+def footprint(camera: Camera, placed: PlacedPose, levels: tuple[float, float], crs: str) -> Extent:
     """Bounds, in a CRS, of the frame's footprint between two heights."""
     heights = [h for h in levels if h < placed.pose.up_m]
     border = np.concatenate([ground_points(camera, placed.pose, frame_border(camera), h) for h in heights])
     east, north = border[:, 0] + placed.origin_m[0], border[:, 1] + placed.origin_m[1]
     places = np.stack(transform_places(east, north, placed.crs, crs), axis=-1)
-    return (*places.min(axis=0).tolist(), *places.max(axis=0).tolist())
+    return Extent(*places.min(axis=0).tolist(), *places.max(axis=0).tolist())
 
 
 _MAX_SURFACE_CELLS = 100e6
