@@ -6,16 +6,23 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from glintrack.cli.options import (
+    Area,
     Bar,
+    Corner,
     OutsidePathsOption,
     argument,
+    check_output,
     command_app,
     make_table,
     open_console,
     option,
     show_wait,
 )
+from glintrack.cli.track import stabilize_frames
 from glintrack.dataset import BASELINES, SCORES, build_dataset, plan_dataset, score_baselines
+from glintrack.io.atomic import check_new
+from glintrack.io.orthoimages import Geotransform, open_frames, read_frame_times
+from glintrack.report.label_page import write_label_page
 
 _HEADS = {
     "completeness": "share\nof all",
@@ -26,7 +33,8 @@ _HEADS = {
     "false_per_frame": "false/\nframe",
 }
 app = command_app(
-    "Build a labelled set of frames, `glintrack dataset CASE… -o DIR`, or score baselines on one.",
+    "Build a labelled set of frames, `glintrack dataset CASE… -o DIR`, score baselines on one, or label your "
+    "own frames.",
     default="build",  # `dataset CASE`
 )
 
@@ -67,6 +75,34 @@ def build(
     console.print(
         f"wrote {output}: {made} frames simulated in {took:.0f} s, {plan.frames - made} there already, "
         f"{size / 1e6:.0f} MB"
+    )
+
+
+@app.command("label")
+def label(
+    frames: Annotated[Path, argument("Folder of frames, .nc or .zarr stack, or video, as for track")],
+    output: Annotated[Path, option("Page to write, .html", "-o", "--output")],
+    rate_hz: Annotated[float | None, option("Frame rate if frames have no times [Hz]", "--rate")] = None,
+    times: Annotated[Path | None, option("CSV file with time_s of each frame [s]", "--times")] = None,
+    geotransform: Annotated[Corner | None, option("West and north edge and pixel size of frames [m]")] = None,
+    area: Annotated[Area | None, option("West, south, east, north of the part to label [m]")] = None,
+    uses_stabilization: Annotated[
+        bool, option("Stabilize frames of a moving camera first (extra `stabilize`)", "--stabilize")
+    ] = False,
+) -> None:
+    """Write a page on which you label the vehicles in your own frames; it makes a CSV file for score."""
+    check_output(output, ".html")
+    check_new(output)
+    console = open_console()
+    grid = None if geotransform is None else Geotransform(*geotransform)
+    times_s = None if times is None else read_frame_times(times)
+    source = open_frames(frames, rate_hz, grid, times_s)
+    if uses_stabilization:
+        source = stabilize_frames(console, frames, source, open_frames(frames, rate_hz, grid, times_s))
+    with show_wait(console, "writing frames"):
+        count = write_label_page(output, frames.name, source.frames, area)
+    console.print(
+        f"wrote {output}: {count} frames, {output.stat().st_size / 1e6:.3g} MB; open it in a browser"
     )
 
 

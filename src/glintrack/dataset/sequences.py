@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,12 +11,15 @@ from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 
 from glintrack.core.arrays import Array
-from glintrack.io.orthoimages import Geotransform, image_of
+from glintrack.io.orthoimages import FrameSource, Geotransform, image_of
+from glintrack.io.tables import read_csv, read_numbers
+from glintrack.io.tracks import LABEL_FILE_COLUMNS
 
 NEAR_M = 4.0  # from a label: a position is right
 MOVING_M_S = 1.0  # a label that moves slower counts neither way
 ABOUT = 2  # frames before and after, over which a label's speed is taken
 LABEL_COLUMNS = ["frame", "vehicle_id", "asked", "east_m", "north_m"]
+MAX_SEQUENCE_BYTES = 2_000_000_000
 _NEVER = 1e3  # cost of a pair that is not allowed
 
 
@@ -64,6 +68,57 @@ class LabelledSequence:
         cell, last = self.cells(places_m), np.array(self.areas[area].shape) - 1
         known = ((cell >= 0) & (cell <= last)).all(axis=1)
         return known & self.areas[area][tuple(np.clip(cell, 0, last).T)]
+
+
+def read_sequence(source: FrameSource, path: Path) -> LabelledSequence:
+    """Read frames, and a CSV file of their labels as ``glintrack dataset label`` makes it.
+
+    Parameters
+    ----------
+    source
+        Frames, all of the labelled ones among them.
+    path
+        CSV file with `LABEL_FILE_COLUMNS`; ``asked`` is 0 for labels that count neither way.
+
+    Returns
+    -------
+    The sequence, with the ground of all frames as area ``all``.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, a label is of no frame, or the frames are too large for memory.
+    """
+    table = read_csv(path, "labels")
+    if missing := [name for name in LABEL_FILE_COLUMNS if name not in table]:
+        known = ", ".join(LABEL_FILE_COLUMNS)
+        raise ValueError(f"`labels` must have the columns {known}; got no {missing[0]} in {path}.")
+    values = pd.DataFrame(read_numbers(table, path, LABEL_FILE_COLUMNS), columns=list(LABEL_FILE_COLUMNS))
+    times_s, frames, corner_m, gsd_m = list[float](), list[Array](), np.zeros(2), 1.0
+    for time_s, image in source.frames:
+        if not frames:
+            x, y = image["x"].values, image["y"].values
+            gsd_m = float(x[1] - x[0])
+            corner_m = np.array([x[0] - gsd_m / 2, y[0] + gsd_m / 2])
+        times_s.append(time_s)
+        frames.append(image["pan"].values)
+        if (size := len(frames) * frames[0].nbytes) > MAX_SEQUENCE_BYTES:
+            raise ValueError(f"`frames` must have at most {MAX_SEQUENCE_BYTES:,} bytes; got {size:,}.")
+    frame = values["frame"].to_numpy()
+    known = np.isin(frame, np.arange(len(times_s)))
+    if not known.all() or (values["time_s"].to_numpy() != np.array(times_s)[frame.astype(int)]).any():
+        raise ValueError(f"`labels` must be of these frames and their times; got others in {path}.")
+    labels = pd.DataFrame(
+        {
+            "frame": frame.astype(int),
+            "vehicle_id": values["vehicle_id"].astype(int),
+            "asked": values["asked"] > 0,
+            "east_m": values["east_m"] - corner_m[0],
+            "north_m": values["north_m"] - corner_m[1],
+        }
+    )
+    areas, times = {"all": np.ones(frames[0].shape, bool)}, np.array(times_s)
+    return LabelledSequence(times, np.stack(frames), gsd_m, with_speeds(labels, times), areas)
 
 
 def with_speeds(labels: pd.DataFrame, times_s: Float[Array, "frame"]) -> pd.DataFrame:

@@ -39,6 +39,7 @@ TRACK_COLUMNS = (
 # of tracks whose truth is known: vehicle that a track is matched to (−1: none), and whether it is a moving
 # vehicle of the scored area, or no vehicle at all
 MATCH_COLUMNS = ("vehicle_id", "valid", "false")
+LABEL_FILE_COLUMNS = ("time_s", "vehicle_id", "east_m", "north_m", "frame", "asked")  # labels by hand
 TRUTH_COLUMNS = (
     "time_s", "vehicle_id", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s", "speed_m_s", "up_m",
     "heading_rad", "class", "length_m", "width_m", "height_m", "visible_fraction", "inside", "moving",

@@ -35,12 +35,16 @@ class FrameFilm:
         Ground of the pictures; None before the first. [m]
     levels
         Values that are shown black and white.
+    max_side_px, quality
+        Largest side of a picture [pixel], and its JPEG quality.
     """
 
     times_s: list[float] = field(default_factory=list)
     pictures: list[bytes] = field(default_factory=list)
     extent_m: Extent | None = None
     levels: tuple[float, float] = (0.0, 1.0)
+    max_side_px: int = MAX_SIDE_PX
+    quality: int = QUALITY
 
     def record(self, frames: Iterable[tuple[float, xr.Dataset]]) -> Iterator[tuple[float, xr.Dataset]]:
         """Yield the frames unchanged, and keep a picture of each."""
@@ -55,18 +59,17 @@ class FrameFilm:
                 self.levels = tuple(np.quantile(known, _LEVELS).tolist()) if len(known) else self.levels
             self.times_s.append(time_s)
             if len(self.pictures) < MAX_PICTURES:
-                self.pictures.append(_jpeg(image["pan"].values, self.levels))
+                self.pictures.append(self._jpeg(image["pan"].values))
             yield time_s, image
 
-
-def _jpeg(values: Array, levels: tuple[float, float]) -> bytes:
-    low, high = levels
-    grey = np.clip((np.nan_to_num(values, nan=low) - low) / max(high - low, 1e-12), 0, 1)
-    picture = Image.fromarray(np.rint(255 * np.sqrt(grey)).astype(np.uint8))
-    picture.thumbnail((MAX_SIDE_PX, MAX_SIDE_PX))
-    out = io.BytesIO()
-    picture.save(out, "JPEG", quality=QUALITY)
-    return out.getvalue()
+    def _jpeg(self, values: Array) -> bytes:
+        low, high = self.levels
+        grey = np.clip((np.nan_to_num(values, nan=low) - low) / max(high - low, 1e-12), 0, 1)
+        picture = Image.fromarray(np.rint(255 * np.sqrt(grey)).astype(np.uint8))
+        picture.thumbnail((self.max_side_px, self.max_side_px))
+        out = io.BytesIO()
+        picture.save(out, "JPEG", quality=self.quality)
+        return out.getvalue()
 
 
 def write_frames_page(path: Path, title: str, film: FrameFilm, rows: xr.Dataset) -> None:
