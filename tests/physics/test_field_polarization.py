@@ -22,13 +22,15 @@ from tests.conftest import plane, small_camera, snapshot
 @pytest.fixture(scope="module")
 def level_dolp():
     """DoLP of level ground of a named material, by azimuth from the sun."""
-    tables, library = solve_tables(AtmosphereDesign()), load_materials()
+    tables = solve_tables(AtmosphereDesign())
+    libraries = {polarized: load_materials(polarized) for polarized in (False, True)}
     sky = unpack_sky(tables, 1928.0)
     sky = replace(sky, path_spectrum=0 * sky.path_spectrum, transmittance=np.ones_like(sky.transmittance))
     weights = channel_weights(sky.wavelength_um, np.ones((1, len(sky.wavelength_um))))
-    names = library["material"].values.tolist()
+    names = libraries[False]["material"].values.tolist()
 
-    def dolp(name, azimuth_from_sun_deg):
+    def dolp(name, azimuth_from_sun_deg, polarized_bases=False):
+        library = libraries[polarized_bases]
         look = tables.attrs["sun_azimuth_rad"] + math.radians(azimuth_from_sun_deg)
         radius = 1928 * math.tan(math.radians(50))
         pose = look_at(Pose(-radius * math.sin(look), -radius * math.cos(look), 1928.0), [0, 0, 0])
@@ -56,3 +58,9 @@ def test_mineral_surfaces_polarize_up_to_a_tenth_toward_the_sun(level_dolp, name
 @pytest.mark.parametrize("name", ["glass", "water", "paint_black"])
 def test_smooth_dark_surfaces_polarize_strongly_toward_the_sun(level_dolp, name):
     assert level_dolp(name, 0) > 0.3
+
+
+@pytest.mark.parametrize(("polarized_bases", "low", "high"), [(False, 0.0, 0.03), (True, 0.05, 0.11)])
+def test_asphalt_across_the_sun_is_that_of_the_decision(level_dolp, polarized_bases, low, high):
+    assert low < level_dolp("asphalt", 90, polarized_bases) < high
+    assert level_dolp("asphalt", 180, polarized_bases) < 0.01
