@@ -30,6 +30,12 @@ demosaic = "bilinear"
 [bound]
 every = 1
 """
+OPTIMIZATION = """case = "case.toml"
+require = ["custody >= 0.01"]
+candidates = 16
+[axes]
+flight.rate_hz = { from = 1.0, to = 2.0 }
+"""
 STUDY = 'case = "case.toml"\n[axes]\n"sensor.pitch_um" = [17.0]\n'
 MESH_SCENE = """[scene]
 city = "mesh"
@@ -53,6 +59,7 @@ def _write_study(path: Path) -> None:
 FILES: Mapping[str, Callable[[Path], None]] = {
     "case.toml": readers.text(SMALL),
     "study.toml": readers.text(STUDY),
+    "optimization.toml": readers.text(OPTIMIZATION),
     "scene.toml": readers.text(MESH_SCENE),
     "mesh.obj": readers.text(readers.OBJ),
     "materials.toml": readers.text(readers.MATERIALS),
@@ -132,6 +139,7 @@ CALLS = (
     _call("video @result -o >film.mp4 --width 160", refused=True),
     _call("study run @study.toml -o >studied --serial --cache >kept"),
     _call("study report @study"),
+    _call("optimize @optimization.toml --dry-run"),
     _call("case list"),
     _call("case new >mycam.toml --pixels 64x64 --pitch 10 --focal-length 50 --altitude 1000 --rate 2"),
     _call("warm-up"),

@@ -164,11 +164,11 @@ def _predictions(
 
 def _front_plot(result: OptimizationResult) -> dict:
     """Pareto front of cost and probability, with numbered designs."""
-    points = [[cost, probable, design, str(k + 1)] for k, (design, cost, probable) in enumerate(result.front)]
+    points = [[one.cost, one.probability, one.design, str(k)] for k, one in enumerate(result.front, start=1)]
     line = {"label": "Pareto front", "channel": "pan", "points": points, "joined": points}
     title = "Probability of meeting all requirements against cost; the numbers name the designs of the front"
     plot = {"title": title, "xlabel": "cost", "ylabel": "probability", "lines": [line]}
-    return plot | {"numbered": [design for design, _, _ in result.front]}
+    return plot | {"numbered": [one.design for one in result.front]}
 
 
 def shorten_design(point: str, axes: Sequence[str]) -> str:

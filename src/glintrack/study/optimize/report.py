@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -28,6 +28,9 @@ _RELAXED = (0.05, 0.1, 0.2)  # shares of the limit
 _MAX_FRONT = 12
 _LEAST = 0.01  # probability of a design of the front
 _AT_END = 0.02  # of an axis's range
+Number = Annotated[float, Field(ge=-1e15, le=1e15)]
+Whole = Annotated[int, Field(ge=-(10**15), le=10**15)]
+Share = Annotated[float, Field(ge=0, le=1)]
 INTERVAL_DEVIATE = float(stats.norm.ppf(0.5 + LEVEL / 2))
 
 
@@ -42,17 +45,25 @@ class Predictor(Design):
     """Plain values of the Gaussian process."""
 
 
+class FrontDesign(Design):
+    """Design of the Pareto front with its cost and its probability to meet all requirements."""
+
+    design: str
+    cost: Number
+    probability: Share
+
+
 class SliderAxis(Design):
     """Axis of a design with its range or its values."""
 
     name: str
-    low: float | None = None
-    high: float | None = None
+    low: Number | None = None
+    high: Number | None = None
     log: bool = False
     integer: bool = False
-    labels: tuple[bool | int | float | str, ...] = ()
+    labels: tuple[bool | Whole | Number | str, ...] = ()
     ordered: bool = False
-    value: bool | int | float | str
+    value: bool | Whole | Number | str
     """Level of the answer's design."""
 
 
@@ -60,9 +71,9 @@ class OptimizationResult(Design):
     """Findings of an optimization; the file ``optimization.json`` of its folder."""
 
     answer: str = Field(pattern="^(yes|no|undecided)$", description="Whether a design is confirmed")
-    cost: float = Field(description="Cost of the confirmed or most promising design")
+    cost: Number = Field(description="Cost of the confirmed or most promising design")
     sentences: tuple[str, ...] = Field(description="Answer, limit, change and certainty")
-    front: tuple[tuple[str, float, float], ...] = Field(description="Designs with cost and probability")
+    front: tuple[FrontDesign, ...] = Field(description="Designs with cost and probability")
     tables: tuple[TextTable, ...]
     axes: tuple[SliderAxis, ...]
     predictors: tuple[Predictor, ...]
@@ -96,7 +107,7 @@ def write_result(folder: Path, result: OptimizationResult) -> None:
     """Write ``optimization.json``, and the Pareto front as CSV and picture into ``report/``."""
     atomic.write_text(folder / RESULT, result.model_dump_json(indent=1) + "\n")
     (folder / "report").mkdir(exist_ok=True)
-    front = pd.DataFrame(result.front, columns=["design", "cost", "probability"])
+    front = pd.DataFrame([one.model_dump() for one in result.front], columns=[*FrontDesign.model_fields])
     atomic.write_text(folder / "report" / "front.csv", front.to_csv(index=False, float_format="%.6g"))
     if len(front):
         figure = _draw_front(front, result)
@@ -178,18 +189,23 @@ def _share(probability: float) -> str:
     return "> 0.99" if probability > 0.99 else "< 0.01" if probability < 0.01 else f"{probability:.2f}"
 
 
-def _front(setup: Optimization, outcome: Outcome) -> list[tuple[str, float, float]]:
+def _front(setup: Optimization, outcome: Outcome) -> list[FrontDesign]:
     """Designs that no other beats in cost and probability, evenly spread."""
     cost, probable = setup.problem.cost, np.round(outcome.feasibility, 4)
     front = np.flatnonzero(pareto_front(cost, probable) & (probable >= _LEAST))
     front = front[np.argsort(cost[front])]
     if len(front) > _MAX_FRONT:
         front = front[np.unique(np.linspace(0, len(front) - 1, _MAX_FRONT).round().astype(int))]
-    return [(describe_design(setup.levels[k]), float(cost[k]), float(probable[k])) for k in front]
+    return [
+        FrontDesign(
+            design=describe_design(setup.levels[k]), cost=float(cost[k]), probability=float(probable[k])
+        )
+        for k in front
+    ]
 
 
-def _front_table(front: Sequence[tuple[str, float, float]]) -> TextTable:
-    rows = tuple((design, f"{cost:.4g}", _share(probable)) for design, cost, probable in front)
+def _front_table(front: Sequence[FrontDesign]) -> TextTable:
+    rows = tuple((one.design, f"{one.cost:.4g}", _share(one.probability)) for one in front)
     title = "Pareto front of cost and of the probability to meet all requirements"
     return TextTable(title, ("design", "cost", "probability"), rows, words=1)
 

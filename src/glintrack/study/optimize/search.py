@@ -50,6 +50,11 @@ class Problem:
         Number of cities of the search, and of those for each confirmation.
     fidelities
         Number of durations.
+
+    Raises
+    ------
+    ValueError
+        If the budget is too small for the first designs and a confirmation.
     """
 
     places: Float[Array, "candidate axis"]
@@ -61,6 +66,20 @@ class Problem:
     cities: int = 8
     confirming_cities: int = 6
     fidelities: int = 2
+
+    def __post_init__(self):
+        axes = self.places.shape[1]
+        least = self.runs * (self.first_designs + self.confirming_cities)
+        if least > self.simulations:
+            raise ValueError(
+                f"`simulations` must be at least {least} for {axes} axes and {self.runs} conditions; "
+                f"got {self.simulations}."
+            )
+
+    @property
+    def first_designs(self) -> int:
+        """Number of designs that are simulated before a prediction."""
+        return min(2 * self.places.shape[1] + 2, len(self.cost))
 
     @property
     def trial_probability(self) -> float:
@@ -140,17 +159,10 @@ def find_cheapest(problem: Problem, simulate: Simulate) -> Outcome:
     Raises
     ------
     ValueError
-        If a requirement's score is in no simulation, or the budget is too small for the first designs.
+        If a requirement's score is in no simulation.
     """
     state = _State(problem, simulate)
-    first = min(2 * problem.places.shape[1] + 2, len(problem.cost))
-    least = state.cost_of(first, 1) + state.confirmation
-    if least > problem.simulations:
-        raise ValueError(
-            f"`simulations` must be at least {least} for {problem.places.shape[1]} axes and "
-            f"{problem.runs} conditions; got {problem.simulations}."
-        )
-    state.run(range(first), state.next_city(), problem.fidelities - 1)
+    state.run(range(problem.first_designs), state.next_city(), problem.fidelities - 1)
     while state.room() >= state.cost_of(BATCH, 1) + ATTEMPTS * state.confirmation:
         city = state.next_city()
         batch = next_designs(problem, state.outcome(), city)
