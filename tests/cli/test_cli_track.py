@@ -10,17 +10,20 @@ import PIL.Image
 import pytest
 import rasterio
 import xarray as xr
+from rasterio.transform import from_origin
 
 from glintrack import metrics
 from glintrack.camera import Camera, Pose, ground_points, look_at
 from glintrack.cli import app
 from glintrack.io.detections import read_detections, read_truth
+from glintrack.io.netcdf import write_dataset
 from glintrack.io.photographs import PlacedPose, camera_file, pose_file, read_poses
 from glintrack.io.toml import to_toml
 from glintrack.io.tracks import TRACK_COLUMNS, WRITERS
 from glintrack.ortho.posed_frames import rectify_frames
 from glintrack.results.froc import froc
 from glintrack.track.files import track_detections
+from tests.ortho.frames import frame_of
 from tests.ortho.test_stabilization import ground as painted_ground
 from tests.ortho.test_stabilization import onto_ground, seen
 
@@ -614,3 +617,32 @@ def test_poses_in_a_folder_of_files_are_those_of_the_table(tmp_path):
         place = {key: (value if isinstance(value, str) else float(value)) for key, value in row.items()}
         (tmp_path / "f" / f"{name[:-4]}.pose.toml").write_text(to_toml(place))
     assert read_poses(tmp_path / "f", names) == read_poses(tmp_path / "poses.csv", names)
+
+
+def test_frames_of_glintrack_with_pose_files_keep_time_and_polarization(tmp_path):
+    """Frames as `glintrack sensor expose` writes them, over a raster of heights."""
+    table = write_flight(tmp_path / "f", 3)
+    folder = tmp_path / "own"
+    folder.mkdir()
+    pixels = 2.0 * np.stack(np.indices((LENS.rows // 2, LENS.columns // 2)), axis=-1) + 0.5
+    for k, row in enumerate(table.to_dict("records")):
+        (folder / f"{k}.pose.toml").write_text(to_toml({key: v for key, v in row.items() if key != "name"}))
+        placed = read_poses(folder, [f"{k}.nc"])[0]
+        place = ground_points(LENS, placed.pose, pixels.reshape(-1, 2), GROUND_M)[:, :2]
+        pan = counts_at(place, 0.5 * k).reshape(pixels.shape[:2]).astype(np.float32)
+        stokes = np.stack([pan, 0.1 * pan, 0 * pan], axis=-1)
+        write_dataset(folder / f"{k}.nc", frame_of(pan, stokes, time_s=30.0 + 0.5 * k, dolp_floor=0.0))
+    west, north = np.array(FLIGHT_ORIGIN_M) + (-500, 500)
+    shape = {"height": 2, "width": 2, "count": 1, "dtype": "float32", "crs": FLIGHT_CRS}
+    dem = tmp_path / "dem.tif"
+    with rasterio.open(
+        dem, "w", driver="GTiff", transform=from_origin(west, north, 600, 600), **shape
+    ) as file:
+        file.write(np.full((1, 2, 2), GROUND_M, np.float32))
+    source = rectify_frames(folder, tmp_path / "camera.toml", folder, dem, crs="EPSG:25832", gsd_m=1.0)
+    frames = list(source.frames)
+    assert source.dolp and source.crs == "EPSG:25832" and [t for t, _ in frames] == [30.0, 30.5, 31.0]
+    for _, image in frames:
+        known = np.isfinite(image["dolp"].values)
+        assert known.mean() > 0.3
+        np.testing.assert_allclose(image["dolp"].values[known], 0.1, atol=1e-3)
