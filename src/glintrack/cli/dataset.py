@@ -33,8 +33,7 @@ _HEADS = {
     "false_per_frame": "false/\nframe",
 }
 app = command_app(
-    "Build a labelled set of frames, `glintrack dataset CASE… -o DIR`, score baselines on one, or label your "
-    "own frames.",
+    "Build a labelled set of frames (`dataset CASE… -o DIR`), score baselines, or label own frames.",
     default="build",  # `dataset CASE`
 )
 
