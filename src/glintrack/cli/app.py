@@ -27,7 +27,7 @@ COMMANDS = {
     "video": "Write the film of a simulation with its tracks as MP4 (extra `video`) or GIF.",
     "study": "Simulate the cases of a study, `glintrack study FILE`, or report on a study.",
     "optimize": "Search for the cheapest design that meets requirements, and confirm it over unseen cities.",
-    "dataset": "Build a labelled set of frames, `dataset CASE… -o DIR`, score detectors, or label own frames.",
+    "dataset": "Build a labelled set of frames, `dataset CASE… -o DIR`, score detectors, label own frames.",
     "case": "Make a case from a data sheet, check a case file, list cases, or print the keys.",
     "track": "Track your own detections or frames.",
     "bound": "Measure the loss budget of a case, without a tracker.",

@@ -33,7 +33,7 @@ _HEADS = {
     "false_per_frame": "false/\nframe",
 }
 app = command_app(
-    "Build a labelled set of frames, `dataset CASE… -o DIR`, score detectors, or label own frames.",
+    "Build a labelled set of frames, `dataset CASE… -o DIR`, score detectors, label own frames.",
     default="build",  # `dataset CASE`
 )
 
