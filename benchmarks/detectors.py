@@ -22,7 +22,7 @@ import numpy as np
 import xarray as xr
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from benchmarks.tracking import sort_style, tracks_of
+from benchmarks.tracking import baseline
 from glintrack import metrics, track
 from glintrack.bounds.loss_budget import score_detections
 from glintrack.case.design import Case
@@ -167,9 +167,8 @@ def reports_of(recording: Recording, found: Found, tracker: str, design: track.T
     """Rows of the tracks that a tracker makes of detections."""
     times = [frame.time_s for frame in recording.sensor_frames()]
     if tracker == "SORT":
-        nobody = np.empty((0, 5))
-        reports, _ = sort_style([(t, nobody, nobody) for t in times], [one.position for one in found])
-        return as_rows(zip(times, (tracks_of(*report) for report in reports), strict=True))
+        reports, _ = baseline()(list(zip(times, recording.truths, strict=True)), found)
+        return as_rows(zip(times, reports, strict=True))
     state = track.start(design.replace({"association.method": tracker, "query.policy": "none"}))
     grid, flown = grid_of(next(recording.sensor_frames()), None), []
     for time_s, one in zip(times, found, strict=True):

@@ -163,8 +163,8 @@ def tracking_rows(quick: bool) -> Iterator[Row]:
     from benchmarks import tracking
 
     epochs = tracking.traffic(30 if quick else 120)
-    measured, _ = tracking.measure(epochs, 1)
-    trackers = {"glintrack": tracking.ours(tracking.DETECTIONS_DESIGN), "SORT-style": tracking.sort_style}
+    measured = tracking.measure(epochs, 1)
+    trackers = {"glintrack": tracking.ours(tracking.DETECTIONS_DESIGN), "SORT-style": tracking.baseline()}
     try:
         trackers["Stone Soup GNN"] = tracking.stone_soup(False)
     except ImportError:

@@ -40,11 +40,13 @@ def to_detections(found: track.Detections, time_s: float, epoch: datetime) -> li
     detection = require_extra("stonesoup.types.detection", **install).Detection
     model = require_extra("stonesoup.models.measurement.linear", **install).LinearGaussian
     when = epoch + timedelta(seconds=float(time_s))
+    # Stone Soup predicts a measurement once for all detections that share a model
+    models = {one.tobytes(): model(4, (0, 2), one) for one in found.covariance}
     return [
         detection(
             found.position[k][:, None],
             timestamp=when,
-            measurement_model=model(4, (0, 2), found.covariance[k]),
+            measurement_model=models[found.covariance[k].tobytes()],
             metadata={"extent_m": float(found.extent[k]), "contrast": float(found.contrast[k])},
         )
         for k in range(len(found))
