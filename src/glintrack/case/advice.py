@@ -28,14 +28,21 @@ def conclude(case: Case, judged: Sequence[Judgement], fastest_m_s: float = CITY_
     if limits := _limits(judged):
         limited = f"it is limited by {_join(one.label for one in limits)}"
         sentences = [limited, *_advise(case, judged, fastest_m_s)]
-    if doubtful := [one for one in judged if one.rank and one.group == "tracker"]:
-        parts = _join(f"{one.label} {one.text}" for one in doubtful)
-        sentences.append(
-            f"{parts} {'are' if len(doubtful) > 1 else 'is'} outside the range in which detector and tracker "
-            "were fitted, so fewer vehicles may be tracked and more tracks may be false "
-            f"({', '.join(f'`{key[1:]}`' for one in doubtful for key in one.keys[:1])})"
-        )
+    sentences += describe_unfitted(judged)
     return ". ".join(one[0].upper() + one[1:] for one in sentences)
+
+
+def describe_unfitted(judged: Iterable[Judgement]) -> list[str]:
+    """Sentence on the quantities outside the range that detector and tracker were fitted in, if any are."""
+    doubtful = [one for one in judged if one.rank and one.group == "tracker"]
+    if not doubtful:
+        return []
+    parts = _join(f"{one.label} {one.text}" for one in doubtful)
+    return [
+        f"{parts} {'are' if len(doubtful) > 1 else 'is'} outside the range in which detector and tracker "
+        "were fitted, so fewer vehicles may be tracked and more tracks may be false "
+        f"({', '.join(f'`{key[1:]}`' for one in doubtful for key in one.keys[:1])})"
+    ]
 
 
 def _limits(judged: Iterable[Judgement]) -> list[Judgement]:
@@ -55,7 +62,9 @@ def _advise(case: Case, judged: Sequence[Judgement], fastest_m_s: float) -> Iter
         case, judged = changes[0].case, changes[0].judged
     left = _limits(judged)
     if texts:
-        yield f"change {', and '.join(texts)}" + (": then every quantity of the design is good" * (not left))
+        yield f"change {', and '.join(texts)}" + (
+            ": then no quantity of the design limits tracking" * (not left)
+        )
     if left:
         yield f"no change of one key makes {_join(one.label for one in left)} good and nothing else worse"
 

@@ -29,9 +29,18 @@ def describe_initiation(case: Case) -> str:
     hits = f"detections in {rules.confirm_hits} of {rules.confirm_window} frames"
     return (
         f"tracker: a track is confirmed by {', '.join([hits, *(text for text, value in least if value)])} "
-        f"(`track.initiation.rules` = {initiation.rules!r}). Without detections it ends after "
+        f"(rules of {initiation.rules!r}, with `track.reporting.method` = {case.track.reporting.method!r}). Without detections it ends after "
         f"{initiation.coast_s:g} s, that of a stopped vehicle after {rules.stopped_coast_s:g} s"
     )
+
+
+def describe_array(case: Case) -> str:
+    """Line on the elements of the array, their polarizers, and the channels that are tracked."""
+    sensor = case.sensor
+    layout = sensor.layout if isinstance(sensor.layout, str) else "given angles"
+    polarizers = f"polarizers {sensor.polarizer!r}" if sensor.has_stokes else "no polarizers"
+    mirror = ", a micromirror in each superpixel" if sensor.has_mirror else ""
+    return f"array: mosaic {layout!r}, {polarizers}{mirror}. Tracked channels: {', '.join(case.channels)}"
 
 
 def detector_binning(case: Case) -> int:

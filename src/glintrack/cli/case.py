@@ -20,7 +20,7 @@ from glintrack.case.build import check_place
 from glintrack.case.check import ANSWERS, Judgement, assess_case
 from glintrack.case.data_sheet import Polarizers, case_text
 from glintrack.case.design import Case
-from glintrack.case.fitted_range import describe_binning, describe_initiation
+from glintrack.case.fitted_range import describe_array, describe_binning, describe_initiation
 from glintrack.case.niirs import describe_niirs
 from glintrack.case.packaged import find_case, list_cases, list_studies
 from glintrack.case.quantities import CITY_SPEED_M_S, describe_time, fastest_speed_m_s
@@ -94,6 +94,7 @@ def check(
             *(f"derived: {value}" for value in derived_values(design.sensor).values()),
             describe_niirs(design),
             describe_window(design),
+            describe_array(design),
             *describe_binning(design),
             describe_initiation(design),
             describe_time(design),

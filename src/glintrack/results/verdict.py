@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from glintrack.atmosphere import sun_direction
+from glintrack.case.advice import describe_unfitted
 from glintrack.case.check import assess_case
 from glintrack.case.design import Case
 from glintrack.case.quantities import ground_view
@@ -136,11 +137,11 @@ def reservations(
         return []
     budget = stage_shares(tree).get(name, {})
     return [
+        *_few_movers(tree, name, case),
         *_about_scores(tree, name, scores[name], budget),
         *_small_field(tree, budget, case),
         *_about_design(tree, name, budget, scores[name], case),
         *_late_tracks(tree, name),
-        *_few_movers(tree, name, case),
     ]
 
 
@@ -280,8 +281,9 @@ def _about_design(
             f"(`bound.every`); the case has {case.flight.frames}."
         )
     with contextlib.suppress(OSError, ValueError):  # a file that the case names is not here
-        judged = assess_case(case, ("view", "sensor"))
+        judged = assess_case(case, ("view", "sensor", "tracker"))
         yield from (f"Design: {one.reason}." for one in judged if one.answer == "bad")
+        yield from (f"{text[0].upper()}{text[1:]}." for text in describe_unfitted(judged))
     valid, false = (float(scores.get(key, math.nan)) for key in ("tracked_per_km2", "false_per_km2"))
     limit, share = case.track.reporting.max_false_share, false / (valid + false) if false > 0 else math.nan
     found = f"/{name}/detections"
@@ -300,8 +302,8 @@ def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
     empty = int(np.argmax(found)) if found.any() else 0  # without any, the verdict is 0 of 100
     if empty > _MAX_WAIT * len(found):
         yield (
-            f"The first track was confirmed after {empty} of the {len(found)} scored frames, in which all "
-            "vehicles count as missed. A longer flight gives a higher completeness."
+            f"The first vehicle was tracked after {empty} of the {len(found)} scored frames. Vehicles in "
+            "view before that count as missed, so a longer flight may give a higher completeness."
         )
 
 
@@ -309,9 +311,12 @@ def _few_movers(tree: xr.DataTree, name: str, case: Case | None) -> Iterator[str
     movers = float(_attributes(tree, name).get("vehicles_per_frame", math.nan))
     if movers < _MIN_MOVERS:
         by_file = case is not None and (case.scene.traffic_file is not None or case.scene.city == "mesh")
-        more = "" if by_file else " A smaller `scene.traffic_insertion_period_s` gives more traffic."
+        more = "" if by_file else ", or a smaller `scene.traffic_insertion_period_s` more traffic"
         they = "vehicle moves" if round(movers) == 1 else "vehicles move"
-        yield f"Only {movers:.0f} {they} {scored_area(tree)} at a time: shares are not precise.{more}"
+        yield (
+            f"Only {movers:.0f} {they} {scored_area(tree)} at a time: shares are not precise. Another stare "
+            f"point (`flight.stare_east_m`, `flight.stare_north_m`) may show more roads{more}."
+        )
 
 
 def describe_subject(channel: str) -> str:
