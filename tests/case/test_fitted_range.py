@@ -53,7 +53,10 @@ def test_elements_finer_than_the_fitted_range_are_averaged(pitch_um, line):
 def test_the_line_of_confirmation_states_the_keys_in_use():
     own = {"track.reporting.method": "confirmation", "track.initiation.confirm_hits": 4}
     line = describe_initiation(Case())
-    assert "by detections in 2 of 5 frames, over 1 m or more, at 0.5 m/s or more (`track" in line
+    assert (
+        "by detections in 2 of 5 frames, over 1 m or more, at 0.5 m/s or more (rules 'existence', `track"
+        in line
+    )
     assert "in 4 of 5 frames, over 1 s or more, over 8 m or more, at 2.5" in describe_initiation(
         Case().replace(own)
     )

@@ -115,18 +115,21 @@ def test_a_field_smaller_than_the_window_is_told_with_what_holds_it():
     case = Case().replace({"flight.off_nadir_deg": 0.0, "flight.altitude_m": 3000.0})
     said = reservations(flown([0.5] * 9, STAGES | {"in_view": 0.34, "visible": 0.3}), SCORES, case)
     assert (
-        len(said) == 1
+        len(said) == 2
         and "66 of 100 moving vehicles are outside" in said[0]
         and "`constraints.constant_field = true`" in said[0]
     )
     assert "sees about " in said[0]
-    assert reservations(flown([0.5] * 9), SCORES, case) == []
+    (unfitted,) = reservations(flown([0.5] * 9), SCORES, case)
+    assert unfitted == said[1]
+    assert unfitted.startswith("Off-nadir angle 0° is outside the range in which detector and tracker")
+    assert reservations(flown([0.5] * 9), SCORES, Case()) == []
 
 
 def test_a_flight_too_short_for_a_loss_budget_says_so_and_what_it_sees():
     small = {"sensor.rows": 280, "sensor.columns": 440, "flight.off_nadir_deg": 0.0, "flight.frames": 5}
     groups = {"/pan": xr.Dataset({"completeness": ("time", np.full(5, 0.5))}, {"time": np.arange(5.0)})}
-    field, missing = reservations(xr.DataTree.from_dict(groups), SCORES, Case().replace(small))
+    field, missing, _ = reservations(xr.DataTree.from_dict(groups), SCORES, Case().replace(small))
     assert "sees about " in field and "less than the window" in field and " of 100" not in field
     assert "more than 5 frames (`bound.every`); the case has 5" in missing
 
@@ -135,7 +138,7 @@ def test_frames_before_the_first_track_are_told():
     early, late = [0, 0.2, 0.3, 0.4, 0.4, 0.5, 0.5, 0.5], [0, 0, 0, 0, 0.2, 0.3, 0.3, 0.3]
     assert reservations(flown(early), SCORES, None) == []
     assert (
-        "first track was confirmed after 4 of the 8 scored frames"
+        "first vehicle was tracked after 4 of the 8 scored frames"
         in reservations(flown(late), SCORES, None)[0]
     )
     assert reservations(flown([0, 0, 0]), SCORES, None) == []  # the verdict is 0 of 100
@@ -144,7 +147,7 @@ def test_frames_before_the_first_track_are_told():
 
 def test_frames_in_which_the_background_is_learnt_do_not_count():
     of = flown([0, 0, 0.5, 0.5])
-    assert "first track was confirmed after 2" in reservations(of, SCORES, None)[0]
+    assert "first vehicle was tracked after 2" in reservations(of, SCORES, None)[0]
     of["pan"].attrs["learning_frames"] = 2.0
     assert reservations(of, SCORES, None) == []
 
@@ -186,7 +189,10 @@ def test_few_movers_are_told():
     own = own.replace({"bound.every": 0})
     of["pan"].attrs["vehicles_per_frame"] = 1.2
     (sentence,) = [one for one in reservations(of, SCORES, own) if one.startswith("Only")]
-    assert sentence == "Only 1 vehicle moves in the window at a time: shares are not precise."
+    assert sentence == (
+        "Only 1 vehicle moves in the window at a time: shares are not precise. Another stare point "
+        "(`flight.stare_east_m`, `flight.stare_north_m`) may show more roads."
+    )
     assert not [one for one in reservations(of, SCORES, own) if "less than the window" in one]
 
 

@@ -29,8 +29,9 @@ def describe_initiation(case: Case) -> str:
     hits = f"detections in {rules.confirm_hits} of {rules.confirm_window} frames"
     return (
         f"tracker: a track is confirmed by {', '.join([hits, *(text for text, value in least if value)])} "
-        f"(rules of {initiation.rules!r}, with `track.reporting.method` = {case.track.reporting.method!r}). Without detections it ends after "
-        f"{initiation.coast_s:g} s, that of a stopped vehicle after {rules.stopped_coast_s:g} s"
+        f"(rules {initiation.rules!r}, `track.reporting.method` = {case.track.reporting.method!r}). "
+        f"Without detections it ends after {initiation.coast_s:g} s, that of a stopped vehicle after "
+        f"{rules.stopped_coast_s:g} s"
     )
 
 
