@@ -154,3 +154,7 @@ def test_the_command_writes_a_case_that_check_takes(tmp_path, monkeypatch, capsy
         code, printed = glintrack("case", "new", tmp_path / "other.toml", *OPTIONS, *wrong)
         assert code == 2 and f"`{wrong[0]}` must be" in printed.err
     assert not (tmp_path / "other.toml").exists()
+    printed = glintrack("case", "new", tmp_path / "other.toml", *OPTIONS, "--off-nadir", "0.52")[1]
+    assert "note: `--off-nadir` is in degrees: 0.52° is nearly straight down (0.52 rad would be 29.8°)" in (
+        printed.out
+    )

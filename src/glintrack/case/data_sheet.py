@@ -74,7 +74,7 @@ def case_text(
     (across_m, along_m), (wide_m, high_m) = ground_view(drawn)
     field_deg, focal_mm = max(drawn.sensor.field_of_view_deg), drawn.sensor.focal_length_mm
     rays = min(max(math.ceil(across_m / RAY_SPACING_M - 1e-6), 1), 5)
-    sensor["oversampling"] = rays, "rays along an element"
+    sensor["oversampling"] = rays, f"rays along an element, at most {RAY_SPACING_M:g} m apart on the ground"
     lines = [
         "# A case from a data sheet, made by `glintrack case new`. `glintrack case check` judges it.",
         f"# Ground: element {across_m:.3g} m × {along_m:.3g} m, field {wide_m:.0f} m × {high_m:.0f} m",

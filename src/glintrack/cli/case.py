@@ -1,6 +1,7 @@
 """``glintrack case``: list cases, check one, and print the meaning of its keys."""
 
 import json
+import math
 import re
 import sys
 from collections import Counter
@@ -157,6 +158,11 @@ def new(
     text = case_text(file.stem, flight, camera, polarizers, sensor, lens)
     write_text(file, text)
     print(*(line[2:] for line in text.splitlines()[1:] if line.startswith("# ")), sep="\n")
+    if 0 < off_nadir <= math.pi / 2:
+        print(
+            f"note: `--off-nadir` is in degrees: {off_nadir:g}° is nearly straight down "
+            f"({off_nadir:g} rad would be {math.degrees(off_nadir):.3g}°)"
+        )
     print(f"wrote {file}; `glintrack case check {file}` judges it, `glintrack run {file}` simulates it")
 
 
