@@ -157,6 +157,7 @@ CALLS = (
     ),
     _call("dataset build @case.toml -o >labelled --frames 2"),
     _call("dataset baseline @result", refused=True),
+    _call("dataset label @stack.nc -o >labels.html --rate 2 --geotransform 0 100 1.5"),
     _call("polarimetry @raw.png -o >measured --calibration @calibration.nc"),
     _call("render @case.toml -o >picture.png"),
     _call("render @case.toml --band 0.6:0.7 -o >bands.tif"),

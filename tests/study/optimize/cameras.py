@@ -1,6 +1,7 @@
 """Searches that cost nothing: scores are known functions of pitch, frame rate and city."""
 
 import math
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,8 @@ def camera(case, task):
     seconds = case.flight.frames / case.flight.rate_hz
     custody, false = true_scores(case.sensor.pitch_um, case.flight.rate_hz)
     of_city = np.random.default_rng(case.scene.seed).normal(0, 1, 2)
-    noise = np.random.default_rng(int(task.case_key, 16)).normal(0, 1, 2)
+    design = (case.sensor.pitch_um, case.flight.rate_hz, case.scene.seed, case.flight.frames)
+    noise = np.random.default_rng(zlib.crc32(repr(design).encode())).normal(0, 1, 2)
     scores = {
         "custody": custody + 0.04 * of_city[0] + 0.1 / math.sqrt(seconds) * noise[0],
         "false_per_km2": false * math.exp(0.1 * of_city[1] + 0.3 / math.sqrt(seconds) * noise[1]),

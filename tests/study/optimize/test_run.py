@@ -39,7 +39,7 @@ def test_a_search_is_confirmed_stored_and_not_repeated(tmp_path, cheap_cases):
     assert first.exit_code == 0, first.output
     assert "Yes: the cheapest confirmed design costs" in first.output and "Pareto front" in first.output
     count = simulated(cache)
-    assert 24 <= count <= 60
+    assert 12 <= count <= 60
     result = read_result(out)
     assert result is not None and result.answer == "yes"
     design = {axis.name: axis.value for axis in result.axes}
@@ -60,7 +60,7 @@ def test_an_interrupted_search_goes_on_to_the_same_answer(tmp_path):
 
     def interrupted(case, task):
         calls.append(case)
-        if len(calls) == 17:
+        if len(calls) == 9:
             raise KeyboardInterrupt
         return camera(case, task)
 

@@ -46,6 +46,7 @@ REQUIRE = 'require = ["custody >= 0.6", "false_per_km2 <= 20"]'
         ("[axes]", "colour = 1\n[axes]", "colour"),
         ("[axes]", "constraints.duration_s = 3\n[axes]", "`constraints.duration_s` must not be given"),
         ("durations_s = [6, 12]", "durations_s = [12, 6]", "`durations_s` must rise"),
+        ("durations_s = [6, 12]", "durations_s = [1, 2]", "`durations_s` must end with a longer duration"),
         ("candidates = 64", "candidates = 65", "`candidates` must be a power of two"),
         ("[axes]", "[[conditions]]\nflight.start_s = 3\n[axes]", "`conditions` must each have a `label`"),
     ],

@@ -21,7 +21,7 @@ from glintrack.metrics.requirement import Requirement, read_requirement
 from glintrack.sensor.catalogue import find_item, read_catalogue
 from glintrack.study.design import Axis, Constraints, Level, StudyDesign, build_axes, flat, unit_points
 from glintrack.study.optimize.search import Problem
-from glintrack.study.plan import build_plan, find_base
+from glintrack.study.plan import build_plan, find_base, length_notes
 
 DATA_RATE = "data_rate_mbit_s"
 CONDITION, DURATION = "condition", "duration_s"
@@ -193,6 +193,8 @@ def read_optimization(path: str | Path, allow_outside_paths: bool = False) -> Op
     study = study_of(design, design.durations_s[-1], design="sobol", samples=design.candidates, axes=values)
     axes = build_axes(study)
     plan = build_plan(study, base, inside)
+    if too_short := length_notes(plan):
+        raise ValueError(f"`durations_s` must end with a longer duration: {too_short[0]}.")
     places = unit_points(study, axes)
     chosen = list({point.case_key: point.index for point in reversed(plan.points)}.values())[::-1]
     points = [plan.points[k] for k in chosen]
