@@ -189,10 +189,11 @@ def test_few_movers_are_told():
     own = own.replace({"bound.every": 0})
     of["pan"].attrs["vehicles_per_frame"] = 1.2
     (sentence,) = [one for one in reservations(of, SCORES, own) if one.startswith("Only")]
-    assert sentence == (
-        "Only 1 vehicle moves in the window at a time: shares are not precise. Another stare point "
-        "(`flight.stare_east_m`, `flight.stare_north_m`) may show more roads."
-    )
+    assert sentence == "Only 1 vehicle moves in the window at a time: shares are not precise."
+    of.attrs["area"] = "footprint"
+    (sentence,) = [one for one in reservations(of, SCORES, own) if one.startswith("Only")]
+    assert "Another stare point (`flight.stare_east_m`, `flight.stare_north_m`)" in sentence
+    del of.attrs["area"]
     assert not [one for one in reservations(of, SCORES, own) if "less than the window" in one]
 
 

@@ -8,19 +8,19 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from jaxtyping import Bool, Float
-from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
 
 from glintrack.core.arrays import Array
 from glintrack.io.orthoimages import FrameSource, Geotransform, image_of
 from glintrack.io.tables import read_csv, read_numbers
 from glintrack.io.tracks import LABEL_FILE_COLUMNS
+from glintrack.metrics.tracks import match
 
 NEAR_M = 4.0  # from a label: a position is right
 MOVING_M_S = 1.0  # a label that moves slower counts neither way
 ABOUT = 2  # frames before and after, over which a label's speed is taken
 LABEL_COLUMNS = ["frame", "vehicle_id", "asked", "east_m", "north_m"]
 MAX_SEQUENCE_BYTES = 2_000_000_000
-_NEVER = 1e3  # cost of a pair that is not allowed
 
 
 @dataclass(frozen=True)
@@ -188,17 +188,16 @@ def match_positions(sequence: LabelledSequence, rows: pd.DataFrame, area: str) -
         np.zeros(len(rows), bool),
     )
     for k in range(len(sequence.times_s)):
-        mine, there = np.flatnonzero(rows["frame"].to_numpy() == k), np.flatnonzero(frames == k)
-        distance_m = np.hypot(*(place_m[mine, None] - label_m[None, there]).transpose(2, 0, 1))
-        near, wanted = distance_m <= NEAR_M, asked[there]
-        cost = np.where(near[:, wanted], distance_m[:, wanted], _NEVER)
-        i, j = linear_sum_assignment(cost)
-        i, j = i[cost[i, j] < _NEVER], j[cost[i, j] < _NEVER]
-        found[there[wanted][j]] = True
-        track_id[there[wanted][j]] = rows["track_id"].to_numpy()[mine[i]]
-        alone = ~near[:, ~wanted].any(axis=1)
-        alone[i] = False
-        is_false[mine] = alone
+        row = np.flatnonzero(rows["frame"].to_numpy() == k)
+        scored, ignored = (np.flatnonzero((frames == k) & (asked == flag)) for flag in (True, False))
+        distance_m, to_ignored_m = (cdist(place_m[row], label_m[label]) for label in (scored, ignored))
+        pairs = np.argwhere(distance_m <= NEAR_M)
+        i, j = pairs[match(pairs, distance_m[tuple(pairs.T)], NEAR_M)].T
+        found[scored[j]] = True
+        track_id[scored[j]] = rows["track_id"].to_numpy()[row[i]]
+        is_unmatched = np.array((to_ignored_m > NEAR_M).all(axis=1))
+        is_unmatched[i] = False
+        is_false[row] = is_unmatched
     is_false &= sequence.inside(area, place_m)
     counted = np.flatnonzero(asked & sequence.inside(area, label_m))
     labels = labels.assign(found=found, track_id=track_id).take(counted)

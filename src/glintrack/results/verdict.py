@@ -311,12 +311,11 @@ def _few_movers(tree: xr.DataTree, name: str, case: Case | None) -> Iterator[str
     movers = float(_attributes(tree, name).get("vehicles_per_frame", math.nan))
     if movers < _MIN_MOVERS:
         by_file = case is not None and (case.scene.traffic_file is not None or case.scene.city == "mesh")
-        more = "" if by_file else ", or a smaller `scene.traffic_insertion_period_s` more traffic"
+        more = "" if by_file else " A smaller `scene.traffic_insertion_period_s` gives more traffic."
+        if tree.attrs.get("area") == "footprint":
+            more += " Another stare point (`flight.stare_east_m`, `flight.stare_north_m`) may show more."
         they = "vehicle moves" if round(movers) == 1 else "vehicles move"
-        yield (
-            f"Only {movers:.0f} {they} {scored_area(tree)} at a time: shares are not precise. Another stare "
-            f"point (`flight.stare_east_m`, `flight.stare_north_m`) may show more roads{more}."
-        )
+        yield f"Only {movers:.0f} {they} {scored_area(tree)} at a time: shares are not precise.{more}"
 
 
 def describe_subject(channel: str) -> str:

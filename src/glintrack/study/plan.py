@@ -44,7 +44,7 @@ MAX_JUDGED = 20  # designs of a study
 DECIDE_SCORES = ("embreex", "eclipse-sumo", "sasktran2")
 _PACKAGE = Path(__file__).parents[1]
 # parts that show results or run cases, and do not influence scores
-_SHOWS_ONLY = ("cli", "results/figures", "report", "study", "optimize", "data/cases", "data/page")
+_SHOWS_ONLY = ("cli", "results/figures", "report", "study", "data/cases", "data/page")
 _SIMULATES = ("study/workers.py",)
 
 

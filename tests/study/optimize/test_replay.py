@@ -70,11 +70,11 @@ def test_claims_of_replayed_searches_are_cheap_and_few_are_false(name):
 if __name__ == "__main__":
     for spec in SPECS:
         found = replay(spec, int(sys.argv[1]))
-        told = found[found["answer"] == "yes"]
+        claims = found[found["answer"] == "yes"]
         feasible = stored_grid(spec, 0).feasible.mean()
         print(
-            f"{spec}: {feasible:.2f} of the grid feasible; {len(told)} of {len(found)} searches claim a "
-            f"design, {told['true'].mean():.3f} of the claims true, median cost {told['ratio'].median():.3f} "
-            f"times the cheapest, median {found['simulations'].median():.0f} simulations, at most "
-            f"{found['simulations'].max()}"
+            f"{spec}: {feasible:.2f} of the grid feasible; {len(claims)} of {len(found)} searches claim a "
+            f"design, {claims['true'].mean():.3f} of the claims true, median cost "
+            f"{claims['ratio'].median():.3f} times the cheapest, median "
+            f"{found['simulations'].median():.0f} simulations, at most {found['simulations'].max()}"
         )

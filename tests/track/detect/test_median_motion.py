@@ -10,7 +10,7 @@ from glintrack import track
 from glintrack.track.design import DetectDesign
 from glintrack.track.detect import median_motion, registration
 from glintrack.track.detect.footprint import footprints, local_quantile, window_means
-from glintrack.track.detect.median_motion import MedianMotionDetector
+from glintrack.track.detect.median_motion import FOOTPRINT_M, MedianMotionDetector, _clutter_scale
 from glintrack.track.detect.sliding_median import median_and_spread, standardize_change
 from glintrack.track.files import FRAMES_DESIGN, as_rows, is_lasting, track_frames
 from tests.plain import plain_tracker
@@ -373,6 +373,15 @@ def test_nothing_is_found_where_the_frame_is_occluded():
         )
     found = state.detections.position[state.detections.contrast >= 1]
     assert len(found) and (found[:, 0] > 90).all()
+
+
+@pytest.mark.parametrize("gsd_m", [0.4, 1.0, 2.5])
+def test_noise_of_independent_pixels_is_not_scaled(gsd_m):
+    """At any size of a pixel; noise that is constant in blocks is."""
+    rng, windows = np.random.default_rng(5), footprints(*FOOTPRINT_M, gsd_m)
+    assert _clutter_scale(rng.standard_normal((240, 240)), windows, gsd_m).max() <= 1.1
+    blocks = np.kron(rng.standard_normal((40, 40)), np.ones((6, 6)))
+    assert np.median(_clutter_scale(blocks, windows, gsd_m)) > 1.1
 
 
 def test_clutter_that_changes_pixels_together_makes_few_candidates():

@@ -1,6 +1,6 @@
 "use strict";
 // Predicted scores of a chosen design, with intervals of 90 %: the response surfaces of a study (study/analysis.py)
-// or the Gaussian processes of an optimization (optimize/surrogate.py). No prediction outside the ranges.
+// or the Gaussian processes of an optimization (study/optimize/surrogate.py). No prediction outside the ranges.
 const predict = (() => {
   const data = JSON.parse(document.getElementById("data").textContent).predict;
   const dot = (a, b) => a.reduce((sum, value, k) => sum + value * b[k], 0);

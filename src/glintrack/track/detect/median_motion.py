@@ -12,6 +12,7 @@ detects vehicles that moved in the first. DoLP may be boosted before it is compa
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -32,8 +33,9 @@ WINDOW = 6  # frames in a median: more include parallax, fewer a queue
 SPACING_S = 0.35  # between stored frames: at 25 Hz nothing moves from one to the next
 FOOTPRINT_M = (4.6, 2.6)
 CAP = 6.0  # standard deviations: a glint counts as much as a car
-CLUTTER_M = 40.0  # side of the tiles in which the strength of clutter is taken
-CLUTTER_QUANTILE, CLUTTER_STRENGTH = 0.75, 0.45  # and its greatest value for noise of independent pixels
+CLUTTER_M, CLUTTER_PX = 40.0, 40  # least side of the tiles in which the strength of clutter is taken
+CLUTTER_QUANTILE = 0.75
+CLUTTER_MARGIN = 1.1  # of the strength of independent noise, up to which nothing is scaled; CLIF A and B
 KERNEL_PX = 2  # half width of the cubic kernel
 AREA_PX = 3  # side of the least area of no data
 BLANK_PX = 7  # a square of zeros of this side is no data
@@ -204,9 +206,21 @@ def _clutter_scale(change: Float[Array, "y x"], windows: Windows, gsd_m: float) 
     footprint fluctuates more than the noise of a pixel tells. Vehicles cover too little of a tile to count.
     """
     bounded = np.clip(np.nan_to_num(change), -CAP, CAP)
-    strength = np.maximum(window_means(bounded, windows), window_means(-bounded, windows))
-    usual = local_quantile(strength, np.isfinite(change), CLUTTER_QUANTILE, round(CLUTTER_M / gsd_m))
-    return np.maximum(usual / CLUTTER_STRENGTH, 1.0).astype(np.float32)
+    strength, side = _strength(bounded, windows), max(round(CLUTTER_M / gsd_m), CLUTTER_PX)
+    usual = local_quantile(strength, np.isfinite(change), CLUTTER_QUANTILE, side)
+    return np.maximum(usual / (CLUTTER_MARGIN * _noise_strength(gsd_m)), 1.0).astype(np.float32)
+
+
+def _strength(change: Float[Array, "y x"], windows: Windows) -> Float[Array, "y x"]:
+    """Mean change under the best window about each pixel, bright or dark. [σ]"""
+    return np.maximum(window_means(change, windows), window_means(-change, windows))
+
+
+@cache
+def _noise_strength(gsd_m: float) -> float:
+    """Quantile of the strength under windows in noise of independent pixels, by simulation. [σ]"""
+    noise = np.random.default_rng(0).standard_normal((256, 256)).astype(np.float32)
+    return float(np.quantile(_strength(noise, footprints(*FOOTPRINT_M, gsd_m)), CLUTTER_QUANTILE))
 
 
 def standardize_frames(
