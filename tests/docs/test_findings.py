@@ -1,5 +1,6 @@
 """The figures of docs/findings.md are those of its tables."""
 
+import csv
 import importlib.util
 from pathlib import Path
 
@@ -41,3 +42,15 @@ def test_a_better_design_is_not_reported_worse(findings):
     row = {"effect": "-1", "p_max_t": "0.01"}
     assert findings.contradicts(row, 1) and not findings.contradicts(row, -1)
     assert not findings.contradicts(row | {"p_max_t": "0.2"}, 1)
+
+
+def test_each_row_of_evidence_names_its_status_and_a_command_that_exists():
+    with (ROOT / "docs" / "evidence.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["status"] for row in rows} == {"validated", "modelled", "assumed"}
+    for row in rows:
+        words = row["command"].replace("`", "").replace("python ", "").split(", ")
+        assert all((ROOT / word).exists() for word in words), row["subject"]
+        assert row["status"] != "validated" or words != [""], (
+            f"{row['subject']} has no command that repeats it"
+        )
