@@ -1,13 +1,12 @@
 """Fit the logistic models of detector and tracker, and write them to ``data/calibration``.
 
-``python tools/calibrate.py mosaic`` simulates `quickstart` with seeds 11 and 12 (`tools/record_flight.py`),
-each as it is, with elements of half the pitch and at 10 Hz, so that one model holds for all of them. It runs
-the detector over each in each channel, over the sensor without polarizers too in `pan`, and labels the peaks
-by the truth: one peak of a visible moving vehicle is a vehicle, what is far from every vehicle is clutter,
-the rest says nothing. A model of `mosaic_peaks.FEATURES` is fitted; every flight and, within it, vehicles
-and clutter weigh the same, which takes out the flights' own odds. Residuals of the likely peaks give height
-and standard deviations. Masks and places are those of the present model: run it twice after a change of the
-detector.
+``python tools/calibrate.py mosaic`` simulates several kinds of traffic, angles, rates and pitches
+(`MOSAIC_FLIGHTS`), so that one model holds for all of them. It runs the detector over each in each channel,
+over the sensor without polarizers too in `pan`, and labels the peaks by the truth: one peak of a visible
+moving vehicle is a vehicle, what is far from every vehicle is clutter, the rest says nothing. A model of
+`mosaic_peaks.FEATURES` is fitted; every flight and, within it, vehicles and clutter weigh the same, which
+takes out the flights' own odds. Residuals of the likely peaks give height and standard deviations. Masks and
+places are those of the present model: run it twice after a change of the detector.
 
 ``python tools/calibrate.py existence`` simulates two cities and four other kinds of traffic
 (`EXISTENCE_FLIGHTS`), tracks them in each channel with the tracker of the packaged case, takes all that is
@@ -78,24 +77,24 @@ def fit_logistic(features: np.ndarray, label: np.ndarray, weight: np.ndarray) ->
 
 # ---- detector `mosaic`
 
-MOSAIC_FLIGHTS = {"quickstart:11": ("flight.azimuth_from_sun_deg=0",), "quickstart:12": ()}
-ONE_SENSOR = (
-    "sensor.spot_sigma_um=12",
-    "sensor.full_well_e=267e3",
-    "sensor.read_noise_e=20",
-    "sensor.integration_time_ms=0.085",
-)
-VARIANTS = (
-    ("flight.frames=24",),
-    ("flight.frames=24", "sensor.pitch_um=8.5", "sensor.rows=1120", "sensor.columns=1760", *ONE_SENSOR),
-    ("flight.frames=60", "flight.rate_hz=10", "sensor.max_frame_rate_hz=10"),
-)
+_NADIR = ("flight.off_nadir_deg=8.0", "flight.altitude_m=2970.0")
+_VARIED = ("scene.material_variation=1", "flight.frames=24", "sensor.rows=280", "sensor.columns=440")
+_60_DEG = ("flight.off_nadir_deg=60.0", "flight.altitude_m=1500.0", "flight.azimuth_from_sun_deg=150")
+MOSAIC_FLIGHTS = (
+    ("quickstart:11", ()), ("braunschweig:11", ()), ("suburb:1", ()), ("arterial:1", ()), ("motorway:1", ()),
+    ("junction:1", ()), ("arterial:1", _NADIR),
+    ("quickstart:13", (*_VARIED, "flight.azimuth_from_sun_deg=0")),
+    ("arterial:3", (*_VARIED, "flight.off_nadir_deg=25.0", "flight.altitude_m=2719.0")),
+    ("quickstart:14", (*_VARIED, "flight.frames=56", "flight.rate_hz=10", "sensor.max_frame_rate_hz=10")),
+    ("embedded:23", (*_VARIED, "sensor.pitch_um=10.0", "flight.azimuth_from_sun_deg=180")),
+    ("suburb:3", (*_VARIED, *_60_DEG)),
+)  # fmt: skip
 SETTLED_S = 4.0  # before it the ground is still being learnt
 LIKELY = 3.0  # nat from which a peak's place counts among the residuals
 # where the fit holds
 VALID = {
-    "detector": "mosaic", "gsd_m": [0.375, 0.75], "rate_hz": [2.0, 10.0], "off_nadir_deg": [50.0],
-    "max_speed_m_s": [22.0], "flights": ["quickstart 11", "quickstart 12"],
+    "detector": "mosaic", "gsd_m": [0.44, 0.75], "rate_hz": [2.0, 10.0], "off_nadir_deg": [8.0, 50.0],
+    "max_speed_m_s": [22.0], "flights": [" ".join((name, *keys)) for name, keys in MOSAIC_FLIGHTS],
 }  # fmt: skip
 
 
@@ -150,7 +149,8 @@ def label_peaks(seen: SearchedMosaic, pose, truth, extent_m) -> Peaks:
     off_m = pose.position[:2] - seen.place_m
     slope = np.hypot(*off_m.T) / pose.up_m
     toward = off_m / np.hypot(*off_m.T)[:, None]
-    standing_m = seen.place_m + (read_calibration("mosaic").constants["height_m"] * slope)[:, None] * toward
+    height_m = read_calibration("mosaic").constants["place"]["all"]["height_m"]
+    standing_m = seen.place_m + (height_m * slope)[:, None] * toward
     distance_m = np.hypot(*(standing_m[:, None] - vehicle_m).transpose(2, 0, 1))
     near = distance_m <= reach_m
     candidate = np.flatnonzero(near.any(axis=1))
@@ -199,40 +199,34 @@ def residuals(data: Peaks, law: np.ndarray) -> dict[str, float]:
     share = 2 * 0.674489750196082  # of a Gaussian between its quartiles
     spread = [np.subtract(*np.quantile(r, [0.75, 0.25])) / share for r in (height, across)]
     # along the line of sight the error of the peak itself adds to that of the height
-    return {
-        "height_m": float(np.median(height)),
-        "height_sigma_m": float(spread[0]),
-        "sigma_m": float(spread[1]),
-    }
+    found = {"height_m": np.median(height), "height_sigma_m": spread[0], "sigma_m": spread[1]}
+    return {name: round(float(value), 2) for name, value in found.items()}
 
 
 def calibrate_mosaic() -> None:
     """Fit the models of peaks, and write ``mosaic.toml``."""
     data: dict[str, list[Peaks]] = {channel: [] for channel in CHANNELS}
-    for flight, azimuth in MOSAIC_FLIGHTS.items():
-        for changes in VARIANTS:
-            recording = record_flight(flight, (*azimuth, *changes))
-            for channel in CHANNELS:
-                data[channel].append(label_flight(recording, "own", channel))
-            data["pan"].append(label_flight(recording, "pan", "pan"))
+    for flight, changes in MOSAIC_FLIGHTS:
+        recording = record_flight(flight, changes)
+        for channel in CHANNELS:
+            data[channel].append(label_flight(recording, "own", channel))
+        data["pan"].append(label_flight(recording, "pan", "pan"))
     laws = {channel: fit_peaks(sets) for channel, sets in data.items()}
     shares = {channel: detection_ratio(sets, laws[channel]) for channel, sets in data.items()}
-    constants = residuals(concatenate_peaks(data["all"]), laws["all"])
+    places = {channel: residuals(concatenate_peaks(sets), laws[channel]) for channel, sets in data.items()}
     for channel, law in laws.items():
         vehicle = concatenate_peaks(data[channel]).vehicle
         counts = f"{int(vehicle.sum())} vehicles, {int((1 - vehicle).sum())} of clutter"
         print(f"{channel}: {np.round(law, 2)}, {counts}")
-    print(shares, constants)
-    models = {channel: LogisticModel(FEATURES, law[0], law[1:]) for channel, law in laws.items()}
-    rounded = {name: round(value, 2) for name, value in constants.items()}
+    print(shares, places)
+    models = {channel: LogisticModel(FEATURES[channel], law[0], law[1:]) for channel, law in laws.items()}
     ratios = {channel: round(share, 2) for channel, share in shares.items()}
-    found = Calibration("tools/calibrate.py mosaic", VALID, models, {**rounded, "detection_ratio": ratios})
-    write_calibration("mosaic", found)
+    constants = {"place": places, "detection_ratio": ratios}
+    write_calibration("mosaic", Calibration("tools/calibrate.py mosaic", VALID, models, constants))
 
 
 # ---- existence models of the tracker
 
-_NADIR = ("flight.off_nadir_deg=8.0", "flight.altitude_m=2970.0")
 EXISTENCE_FLIGHTS = (
     ("quickstart:11", ()), ("braunschweig:11", ()), ("suburb:1", ()), ("motorway:1", ()), ("arterial:1", ()),
     ("junction:1", ()), ("arterial:1", _NADIR), ("motorway:1", _NADIR),

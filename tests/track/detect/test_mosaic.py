@@ -20,6 +20,7 @@ from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.detect.median_motion import MedianMotionDetector
 from glintrack.track.detect.mosaic import LAYERS, SPACING_S, MosaicDetector, StrengthLayer, _supporting_layers
 from glintrack.track.detect.mosaic_peaks import FEATURES, MIN_RATIO, log_likelihood_ratio
+from glintrack.track.detect.mosaic_windows import WINDOW_FEATURES
 from tests.track.detect import mosaic_flight as flight
 from tests.track.moving_blobs import image
 
@@ -276,9 +277,18 @@ def test_neither_what_stands_nor_an_empty_place_is_likelier_than_what_moves():
         np.array([[np.sqrt(s), 1.5, still, np.sqrt(still), 0.3, np.sqrt(0.3), np.log(0.1)]])
         for s, still in ((1.4, 0.4), (1.4, 1.4), (0.3, 0.3))
     )
+    # a car of even change, a quarter brighter than the ground, with little change around it
+    signed = {"across_root": 1.2, "signed": 1.8, "evidence": 2.0, "contrast": 0.25, "disagreement": 0.04}
+    signed |= {"ring_signed": 0.1, "ring_evidence": 0.3, "ring_contrast": 0.03, "ring_disagreement": 0.02}
+    values = [
+        signed[name] if name in signed else np.sqrt(signed[name.removesuffix("_root")])
+        for name in WINDOW_FEATURES
+    ]
     for channel in ("pan", "dolp", "all"):
+        around = np.array([values if channel == "all" else []])
         likely, still, weak = (
-            log_likelihood_ratio(channel, one).item() for one in (moving, standing, nothing)
+            log_likelihood_ratio(channel, np.hstack([one, around])).item()
+            for one in (moving, standing, nothing)
         )
         assert likely > 0 > weak
         assert still < likely - 3
@@ -339,4 +349,4 @@ def test_vehicles_are_detected_much_more_often_than_clutter():
     ratios = known.constants["detection_ratio"]
     assert ratios.keys() == known.models.keys()
     assert all(np.log(5) < ratio < np.log(200) for ratio in ratios.values())
-    assert all(model.features == FEATURES for model in known.models.values())
+    assert all(model.features == FEATURES[channel] for channel, model in known.models.items())

@@ -1,9 +1,9 @@
 """The detector ``mosaic``: change of raw elements in windows of a vehicle's size, along a straight motion.
 
 Elements that are too fine are averaged (`binning`). In every frame each element is predicted from the past of
-its own kind (`mosaic_model`). The squared difference over its variance is averaged over windows of a car's
-size on the ground (`footprint`). Its peaks are scored by the evidence along their best straight motion in the
-frames before (`mosaic_peaks`). Weak detections go to the tracker with their log-likelihood ratio.
+its own kind (`mosaic_model`). The squared difference over its variance is averaged over windows on the ground
+(`footprint`). Its peaks are scored by the evidence along their best straight motion (`mosaic_peaks`), in
+``all`` also by the signs around them (`mosaic_windows`). Weak detections go on with their likelihood ratio.
 """
 
 import math
@@ -34,20 +34,21 @@ from glintrack.track.detect.mosaic_model import (
 )
 from glintrack.track.detect.mosaic_peaks import (
     CAP,
-    MIN_RATIO,
+    SEARCHES,
     PastStrength,
     Peaks,
     detection_ratio,
     element_change,
-    evidence_on_ground,
     find_peaks,
     log_likelihood_ratio,
     no_peaks,
     select_elements,
+    select_peaks,
 )
+from glintrack.track.detect.mosaic_windows import evidence_on_ground, window_features
 
 CELL_M = 0.75
-WINDOW_M = (4.6, 2.6)
+EXTENT_M = 3.9  # diameter of a detection
 SPACING_S = 0.45  # minimum time between earlier frames that count: a car has then left its place
 LAYERS = 3  # earlier frames that may support a peak
 FIRST_FRAMES = 4  # from which the ground map is rebuilt
@@ -174,37 +175,37 @@ class MosaicDetector:
                 f"{camera.rows} × {camera.columns} elements; got {mosaic.layout} and "
                 f"{mosaic.electrons.shape[0]} × {mosaic.electrons.shape[1]}."
             )
-        ground, channel, frame = state.ground, frame.channel, bin_frame(frame, state.factor)
+        ground = state.ground
+        channel = frame.channel if len(ground.places) > 1 else "pan"  # one kind has no joint statistic
+        frame = replace(bin_frame(frame, state.factor), channel=channel)
         mosaic, seen = raw_of(frame)[0], predict(ground, frame)
         corner, shape = _window_grid(state.grid)
         element = elements_of_cells(frame, corner, CELL_M, shape, seen.moved_m)
         planes, offsets = element_change(seen, mosaic, ground.places, channel)
         change = evidence_on_ground(planes, offsets, ground.side, element)
-        means = window_means(change, footprints(*WINDOW_M, CELL_M))
+        means = window_means(change, footprints(*SEARCHES[channel].window_m, CELL_M))
         known = means[means > 0.02]
         usual = float(np.median(known)) if len(known) else 0.0
         strength = np.clip(means - usual, 0.0, CAP)
         above = known[known > usual]
         spread = float(np.median(above)) - usual if len(above) else 0.0
         if state.frames < WARM_UP or frame.time_s - (ground.first_s or 0.0) < WARM_UP_S:
-            nothing = SearchedMosaic(seen, strength, no_peaks(), np.empty((0, 2)), np.empty(0))
+            nothing = SearchedMosaic(seen, strength, no_peaks(channel), np.empty((0, 2)), np.empty(0))
             return replace(no_detections(), log_likelihood_ratio=np.empty(0), detail=nothing)
         layers = _supporting_layers(state.layers, frame.time_s)
-        past = PastStrength(
-            np.stack([layer.strength for layer in layers]),
-            frame.time_s - np.array([layer.time_s for layer in layers]),
-            state.restless,
-        )
-        found = find_peaks(means, usual, spread, past, CELL_M, self.design.max_speed_m_s)
-        row, column = found.place.T
-        on_map_m = np.stack([corner[0] + CELL_M * column, corner[1] - CELL_M * row], axis=-1)
-        place_m = on_map_m - np.array(ground.shift_m)
+        strengths, times_s = zip(*((layer.strength, layer.time_s) for layer in layers), strict=True)
+        past = PastStrength(np.stack(strengths), frame.time_s - np.array(times_s), state.restless)
+        speed_m_s = self.design.max_speed_m_s
+        found = find_peaks(means, usual, spread, past, SEARCHES[channel], CELL_M, speed_m_s)
+        if channel == "all":
+            signed = window_features(found.cells, change, seen, (offsets, ground.side, CELL_M), element)
+            found = replace(found, features=np.hstack([found.features, signed]))
+        place_m = np.array(corner) + CELL_M * found.place[:, ::-1] * (1, -1) - np.array(ground.shift_m)
         ratio = log_likelihood_ratio(channel, found.features)
         east_m, north_m = (mean - now for mean, now in zip(ground.shift_m, seen.moved_m, strict=True))
-        detections = _detections(
-            SearchedMosaic(seen, strength, found, place_m, ratio), frame, (east_m, north_m)
-        )
-        return replace(detections, velocity_most_m_s=self.design.max_speed_m_s)
+        searched = SearchedMosaic(seen, strength, found, place_m, ratio)
+        detections = _detections(searched, frame, (east_m, north_m))
+        return replace(detections, velocity_most_m_s=speed_m_s)
 
     def update(
         self, state: MosaicMemory, frame: Frame, detections: Detections, association: Association
@@ -328,10 +329,9 @@ def _add_frame(
 
 def _detections(searched: SearchedMosaic, frame: Frame, displacement_m: tuple[float, float]) -> Detections:
     """Likely peaks by falling ratio, moved back by a vehicle's height along the line of sight."""
-    likely = np.flatnonzero(searched.ratio > MIN_RATIO)
-    likely = likely[np.argsort(-searched.ratio[likely], kind="stable")]
+    likely = select_peaks(searched.place_m, searched.peaks.velocity, searched.ratio, frame.channel)
     position, ratio = searched.place_m[likely], searched.ratio[likely]
-    known = read_calibration("mosaic").constants
+    known = read_calibration("mosaic").constants["place"][frame.channel]
     pose, ground_m = raw_of(frame)[2], frame.mean_height_m
     to_camera = pose.position[:2] - position
     slope = np.hypot(*to_camera.T) / max(pose.up_m - ground_m, 1.0)
@@ -343,7 +343,7 @@ def _detections(searched: SearchedMosaic, frame: Frame, displacement_m: tuple[fl
     n = len(likely)
     return Detections(
         position + (known["height_m"] * slope)[:, None] * unit, covariance.reshape(n, 2, 2),
-        np.full(n, math.sqrt(4 / math.pi * WINDOW_M[0] * WINDOW_M[1])), np.exp(np.clip(ratio, -20, 20)),
+        np.full(n, EXTENT_M), np.exp(np.clip(ratio, -20, 20)),
         log_likelihood_ratio=detection_ratio(frame.channel, ratio), displacement_m=displacement_m,
         velocity=searched.peaks.velocity[likely], velocity_sigma_m_s=SPEED_SIGMA_M_S,
         velocity_share=RIGHT_SHARE, correlation_s=CORRELATION_S, detail=searched,

@@ -4,18 +4,22 @@
    variance. DoLP and angle of polarization follow from those two ratios. Readings are compared with the
    *predicted readings of the same elements*, so the effect of the polarizers' different positions cancels.
 2. Its mean logarithm on a ground grid.
-3. Peaks of the means under windows of a vehicle's size.
+3. Peaks of the means under windows: of a vehicle's size, or in ``all``, where signs tell vehicles from
+   edges, smaller than a car, so that two cars side by side are two peaks.
 4. Track before detect: support of each peak by the best straight motion through earlier frames. An earlier
    frame has at most the strength of the peak itself, so that one strong glint elsewhere gives no support.
-5. A logistic model of these features gives the log-likelihood ratio of vehicle against clutter. Its constants
-   are in ``data/calibration/mosaic.toml``; ``python tools/calibrate.py mosaic`` fits and writes them.
+5. A logistic model of these features, in ``all`` with those of signed change (`mosaic_windows`), gives the
+   log-likelihood ratio of vehicle against clutter. Its constants are in ``data/calibration/mosaic.toml``;
+   ``python tools/calibrate.py mosaic`` fits and writes them.
+6. In ``all`` one peak for each vehicle: roof and shadow, or front and rear, may be two.
 """
 
 from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
@@ -23,20 +27,34 @@ from glintrack.core.records import Mosaic
 from glintrack.track.calibration import read_calibration
 from glintrack.track.detect.footprint import peak_places, peaks
 from glintrack.track.detect.mosaic_model import ElementPrediction
+from glintrack.track.detect.mosaic_windows import WINDOW_FEATURES
 
-FREEDOM = 3.0  # of Student's t: one outlier is no vehicle
-APART_M = 3.0  # of peaks: cars in a queue stand 6 m apart
 CAP = 4.0  # of a window's strength: a glint counts as much as a car
 MIN_STRENGTH_SPREADS = 2.0  # of a peak
 SPREAD_RANGE = 0.03, 0.2  # of the flights that calibrate the model
 MAX_STRENGTH = 6.0  # limit of the strength as a feature
 MIN_SPEED_M_S, SPEED_STEP_M_S = 2.5, 1.2
-FEATURES = (
-    "support_root", "strength", "still", "still_root", "restless", "restless_root", "log_spread"
-)  # fmt: skip
+_MOTION = "support_root", "strength", "still", "still_root", "restless", "restless_root", "log_spread"
+FEATURES = {"pan": _MOTION, "dolp": _MOTION, "all": _MOTION + WINDOW_FEATURES}
 MAX_RATIO = 8.0  # beyond it the calibration flights have no clutter
 MIN_RATIO = 1.1  # of a detection: with less false tracks come, with more tracks are lost
+SAME_M = 5.5  # reach of a vehicle's other peaks
+LANE_M, IN_LINE_M = 2.9, 2.0  # in dense traffic: their reach in any direction, and across the motion
+NEIGHBOURS_M, NEAR_M, MIN_NEIGHBOURS = 40.0, 6.0, 5  # likely peaks between two distances in dense traffic
 _ROUNDING = 1 - 1e-9  # rounding of a sum must not exclude the best motion
+
+
+@dataclass(frozen=True)
+class Search:
+    """Windows of a channel: their size and the least distance of peaks [m], and the least strength. [1]"""
+
+    window_m: tuple[float, float]
+    apart_m: float
+    strength: float
+
+
+_WIDE = Search((4.6, 2.6), 3.0, 0.0)  # cars in a queue stand 6 m apart
+SEARCHES = {"pan": _WIDE, "dolp": _WIDE, "all": Search((2.6, 1.2), 1.6, 0.35)}
 
 
 @dataclass(frozen=True)
@@ -62,17 +80,19 @@ class Peaks:
 
     Parameters
     ----------
-    place
-        Row and column of each in the grid of windows. [cell]
+    cells, place
+        Row and column of the cell and of the centroid of each, in the grid of windows. [cell]
     features
         `FEATURES` of each: root of the mean strength along the best straight motion; its own strength; the
         mean at a standstill, which is evidence against a vehicle; the mean over the last seconds at its
         place, which is evidence for one, since other vehicles moved there; and the logarithm of the frame's
-        spread, since a strength is better known in windows with more readings. [1]
+        spread, since a strength is better known in windows with more readings. In ``all`` the detector adds
+        `WINDOW_FEATURES`. [1]
     velocity
         East and north speed of that motion. [m s⁻¹]
     """
 
+    cells: Int[Array, "peak 2"]
     place: Float[Array, "peak 2"]
     features: Float[Array, "peak feature"]
     velocity: Float[Array, "peak 2"]
@@ -82,9 +102,10 @@ class Peaks:
         return len(self.place)
 
 
-def no_peaks() -> Peaks:
+def no_peaks(channel: str) -> Peaks:
     """Return an empty set of peaks."""
-    return Peaks(np.empty((0, 2)), np.empty((0, len(FEATURES))), np.empty((0, 2)))
+    pairs = np.empty((0, 2))
+    return Peaks(pairs.astype(int), pairs, np.empty((0, len(FEATURES[channel]))), pairs)
 
 
 def select_elements(layout: tuple[tuple[str | float, ...], ...], channel: str) -> tuple[tuple[int, int], ...]:
@@ -161,54 +182,16 @@ def _stokes_change(start, stop, readings, expected, var, to_stokes, out):
             out[i, j] = (c * dq * dq - 2 * b * dq * du + a * du * du) / det if det > 0.0 else np.nan
 
 
-def evidence_on_ground(
-    planes: tuple[Float[Array, "row column"], ...],
-    offsets: Float[Array, "plane 2"],
-    side: int,
-    element: tuple[Float[Array, "y x"], Float[Array, "y x"]],
-) -> Float[Array, "y x"]:
-    """Mean over the planes of log(1 + z²/ν) for each cell of a ground grid; 0 where unknown.
-
-    Parameters
-    ----------
-    planes, offsets
-        From `element_change`.
-    side
-        Elements along a superpixel.
-    element
-        Row and column of the element of each cell.
-    """
-    out = np.zeros(element[0].shape, np.float32)
-    logs = np.log1p(np.stack(planes) * np.float32(1 / FREEDOM))
-    over_rows(_gather, len(out), logs, offsets, side, *element, out)
-    return out
-
-
-@nb.njit(cache=True, nogil=True)
-def _gather(start, stop, planes, offsets, side, row, column, out):
-    n, rows, columns = planes.shape
-    per_side, share = np.float32(1 / side), np.float32(1 / n)
-    for k in range(n):
-        first_row = np.float32(0.5 - offsets[k, 0] / side)
-        first_column = np.float32(0.5 - offsets[k, 1] / side)
-        for i in range(start, stop):
-            for j in range(out.shape[1]):
-                r, c = row[i, j] * per_side + first_row, column[i, j] * per_side + first_column
-                if r >= 0 and c >= 0 and r < rows and c < columns:  # False for NaN
-                    value = planes[k, int(r), int(c)]
-                    if value == value:
-                        out[i, j] += share * value
-
-
 def find_peaks(
     means: Float[Array, "row column"],
     usual: float,
     spread: float,
     past: PastStrength,
+    search: Search,
     cell_m: float,
     max_speed_m_s: float,
 ) -> Peaks:
-    """Find the peaks of a frame and their features.
+    """Find the peaks of a frame and the features of their motion.
 
     Parameters
     ----------
@@ -217,13 +200,16 @@ def find_peaks(
         that: statistics of the ground at rest, since vehicles are few. [1]
     past
         Strength in the frames before.
+    search
+        Windows of the channel.
     cell_m
         Side of a cell. [m]
     max_speed_m_s
         Greatest speed of the motions that are tried. [m s⁻¹]
     """
     spread = float(np.clip(spread, *SPREAD_RANGE))
-    cells = peaks(means, usual + MIN_STRENGTH_SPREADS * spread, APART_M, cell_m)
+    least = usual + max(search.strength, MIN_STRENGTH_SPREADS * spread)
+    cells = peaks(means, least, search.apart_m, cell_m)
     now = means[tuple(cells.T)] - usual
     place = peak_places(means - np.float32(usual), cells)
     velocity = velocities(MIN_SPEED_M_S, max_speed_m_s, SPEED_STEP_M_S)
@@ -235,7 +221,48 @@ def find_peaks(
     often, strength = past.restless[tuple(cells.T)], np.minimum(now, MAX_STRENGTH)
     whole = np.full(len(cells), np.log(spread))
     features = [np.sqrt(best), strength, still, np.sqrt(still), often, np.sqrt(often), whole]
-    return Peaks(place, np.stack(features, axis=-1), motion)
+    return Peaks(cells, place, np.stack(features, axis=-1), motion)
+
+
+def select_peaks(
+    position_m: Float[Array, "peak 2"],
+    velocity_m_s: Float[Array, "peak 2"],
+    ratio: Float[Array, "peak"],
+    channel: str,
+) -> Int[Array, "selected"]:
+    """Select likely peaks, by falling ratio; in ``all`` one for each vehicle.
+
+    Near a likelier peak another one is a vehicle of its own only in dense traffic, where further peaks are
+    likely around both, and in another lane.
+
+    Parameters
+    ----------
+    position_m, velocity_m_s, ratio
+        Place and motion of each peak, east and north [m, m s⁻¹], and its log-likelihood ratio [nat].
+    channel
+        ``pan``, ``dolp`` or ``all``.
+
+    Returns
+    -------
+    Indices of the selected peaks.
+    """
+    likely = np.flatnonzero(ratio > MIN_RATIO)
+    likely = likely[np.argsort(-ratio[likely], kind="stable")]
+    if channel != "all":
+        return likely
+    at, selected = position_m[likely], np.ones(len(likely), bool)
+    ahead = velocity_m_s[likely] / np.hypot(*velocity_m_s[likely].T)[:, None]
+    tree = KDTree(at)
+    within, near = (tree.query_ball_point(at, d, return_length=True) for d in (NEIGHBOURS_M, NEAR_M))
+    dense = within - near >= MIN_NEIGHBOURS
+    for k, around in enumerate(tree.query_ball_point(at, SAME_M)):
+        if selected[k]:
+            other = np.array(around)
+            gap = at[other] - at[k]
+            in_line = np.abs(gap @ (ahead[k, ::-1] * (1, -1))) < IN_LINE_M
+            own_lane = dense[k] & dense[other] & ~in_line & (np.hypot(*gap.T) > LANE_M)
+            selected[other[(other > k) & ~own_lane]] = False
+    return likely[selected]
 
 
 def velocities(slowest_m_s: float, fastest_m_s: float, step_m_s: float) -> Float[Array, "velocity 2"]:
@@ -280,7 +307,7 @@ def _support(start, stop, layers, ages, peak, strength, velocity, cell, out, bes
 
 
 def log_likelihood_ratio(channel: str, features: Float[Array, "peak feature"]) -> Float[Array, "peak"]:
-    """Log-likelihood ratio of vehicle against clutter for peaks of these `FEATURES`. [nat]"""
+    """Log-likelihood ratio of vehicle against clutter for peaks of the channel's `FEATURES`. [nat]"""
     return np.minimum(read_calibration("mosaic").models[channel].log_odds(features), MAX_RATIO)
 
 
