@@ -19,6 +19,7 @@ from glintrack.sensor.ghosts import ghosts, with_window
 from glintrack.sensor.lens import LensDesign, lens_quality, read_lens, with_lens
 from glintrack.sensor.navigation import NavigationDesign, image_motion, navigate, navigation_errors, smear
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
+from glintrack.sensor.presets import Preset, build_preset, read_arrays, read_presets
 from glintrack.sensor.raw import RawDesign, measure_polarization, read_analysers
 from glintrack.sensor.response import response_curves
 from glintrack.sensor.sensor import Sensor, build_sensor, noise_equivalent_radiance
@@ -30,11 +31,13 @@ __all__ = [
     "NavigationDesign",
     "OpticsDesign",
     "Polarizer",
+    "Preset",
     "RawDesign",
     "Sensor",
     "SensorDesign",
     "array_readout",
     "boost",
+    "build_preset",
     "build_sensor",
     "demosaic",
     "depolarize",
@@ -60,8 +63,10 @@ __all__ = [
     "noiseless_spectra",
     "photo_electrons",
     "read_analysers",
+    "read_arrays",
     "read_lens",
     "read_out",
+    "read_presets",
     "response_curves",
     "serve",
     "smear",

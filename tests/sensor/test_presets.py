@@ -1,0 +1,108 @@
+"""Presets see the same light through the same lens, and none of them more of it than there is."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from glintrack.core.spectral import wavelength_grid
+from glintrack.sensor import Sensor, SensorDesign, build_preset, build_sensor, read_arrays, read_presets
+from glintrack.sensor.presets import element_curves
+from glintrack.sensor.response import element_response
+
+GRID_UM = wavelength_grid(0.4, 1.0)
+DESIGN = SensorDesign(rows=16, columns=24, polarizer="ideal", read_noise_e=0.0, prnu=0.0)
+# electrons in white light over those of all pan elements; None: what filters of the table leave
+SHARES = {"pan": 1.0, "superpixel": 0.625, "depolarized": 0.625, "polarimeter": 0.75}
+
+
+def electrons(arrays):
+    """Mean electrons of a place of the field per unit of white light, in all arrays together."""
+    return sum(sensor.stokes_gains[..., 0].mean() for sensor in arrays)
+
+
+@pytest.fixture(scope="module")
+def presets() -> dict[str, tuple[Sensor, ...]]:
+    return {name: build_preset(preset, DESIGN, GRID_UM) for name, preset in read_presets().items()}
+
+
+def uniform(i, q=0.0, u=0.0, spectrum=None):
+    """Light that is the same everywhere."""
+    shape = np.ones(len(GRID_UM)) if spectrum is None else spectrum
+
+    def radiance(channels, pixels=None):
+        values = (channels @ shape)[:, None] * np.array([i, q, u])
+        values = np.broadcast_to(values, (DESIGN.rows, DESIGN.columns, *values.shape))
+        return xr.DataArray(values, dims=("y", "x", "channel", "stokes"))
+
+    return radiance
+
+
+@pytest.mark.parametrize("name", read_presets())
+def test_optics_and_electronics_are_those_of_the_design(name, presets):
+    own = build_sensor(DESIGN, GRID_UM)
+    for sensor in presets[name]:
+        assert sensor.camera == own.camera
+        kept = sensor.design.model_dump(exclude={"layout", "demosaic", "optics"})
+        assert kept == DESIGN.model_dump(exclude={"layout", "demosaic", "optics"}) | {
+            "spectrometer_um": kept["spectrometer_um"]
+        }
+        assert sensor.design.optics.replace({"depolarizer": False}) == DESIGN.optics
+
+
+@pytest.mark.parametrize("name", read_presets())
+def test_no_preset_takes_more_light_than_there_is(name):
+    preset = read_presets()[name]
+    taken = sum(
+        light
+        * np.mean(
+            [element_curves(k, preset.filters_um, DESIGN, GRID_UM)[0] for row in rows for k in row], axis=0
+        )
+        for light, rows in preset.arrays
+    )
+    assert np.all(taken <= element_response(DESIGN, GRID_UM) * (1 + 1e-9))
+
+
+def test_polarizers_absorb_half_and_filters_all_but_their_band(presets):
+    whole = electrons(presets["pan"])
+    np.testing.assert_allclose(whole, build_sensor(DESIGN, GRID_UM).electrons_per_radiance)
+    for name, share in SHARES.items():
+        np.testing.assert_allclose(electrons(presets[name]) / whole, share, rtol=1e-9)
+    for name, filters in (("rgb", [1 / 6, 1 / 6, 1 / 6]), ("four_bands", [7 / 60, 8 / 60, 6 / 60, 14 / 60])):
+        assert 0.5 < electrons(presets[name]) / whole / np.mean(filters) < 1.1  # photons are more in the red
+
+
+def test_the_superpixel_is_the_papers(presets):
+    """Electrons of each element are those of the packaged sensor with its own layout."""
+    own = build_sensor(DESIGN, GRID_UM)
+    np.testing.assert_allclose(presets["superpixel"][0].stokes_gains, own.stokes_gains, atol=1e-9)
+
+
+def test_white_light_reads_the_same_in_all_elements_and_polarization_in_polarizers_alone(presets):
+    rng = np.random.default_rng(1)
+    for name, arrays in presets.items():
+        plain = [r.mean() for r in read_arrays(arrays, uniform(40.0), rng)]
+        np.testing.assert_allclose(plain, 40.0, rtol=0.01)
+        polarized = read_arrays(arrays, uniform(40.0, q=10.0, u=4.0), rng)
+        angles = {"superpixel": {(0, 1): 0.0, (1, 0): 60.0, (1, 1): 120.0}}.get(name, {})
+        for place, angle in angles.items():
+            turn = 2 * np.radians(angle)
+            expected = 40 + 10 * np.cos(turn) + 4 * np.sin(turn)
+            np.testing.assert_allclose(polarized[0][place[0] :: 2, place[1] :: 2].mean(), expected, rtol=0.02)
+        if name == "polarimeter":
+            s0 = np.mean([r.mean() for r in polarized[1:]])
+            np.testing.assert_allclose([s0, polarized[1].mean()], [40.0, 50.0], rtol=0.02)
+        if name not in ("superpixel", "polarimeter"):
+            np.testing.assert_allclose([r.mean() for r in polarized], 40.0, rtol=0.01)
+
+
+def test_a_filter_reads_its_own_band(presets):
+    red = ((GRID_UM >= 0.63) & (GRID_UM <= 0.69)).astype(float)
+    (read,) = read_arrays(presets["four_bands"], uniform(40.0, spectrum=red), np.random.default_rng(1))
+    means = [read[i::2, j::2].mean() for i in (0, 1) for j in (0, 1)]
+    np.testing.assert_allclose(means, [0.0, 0.0, 40.0, 0.0], atol=0.5)
+
+
+def test_a_band_without_a_filter_is_refused():
+    narrow = DESIGN.replace({"band_um": (0.4, 0.6)})
+    with pytest.raises(ValueError, match="must contain the filter"):
+        build_preset(read_presets()["four_bands"], narrow, GRID_UM)
