@@ -12,7 +12,7 @@ from glintrack.cli.app import load_program
 WORK = {
     "atmosphere plot": ("glintrack.results.figures.sky.fisheye", "glintrack.results.figures.sky.spectra"),
     "atmosphere solve": ("glintrack.atmosphere.solve_tables",),
-    "bound": ("glintrack.bounds.run.measure_bounds",),
+    "bound": ("glintrack.bounds.run.measure_bounds", "glintrack.bounds.tasks.measure_tasks"),
     "case check": ("glintrack.case.design.Case.from_toml", "glintrack.assess_case"),
     "case list": ("glintrack.list_cases",),
     "case new": ("glintrack.case.data_sheet.case_text",),

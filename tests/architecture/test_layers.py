@@ -23,6 +23,7 @@ ALLOWED = {
     "case": FILES | STAGES,
     "bounds": FILES | {"scene", "render", "sensor", "ortho", "metrics", "track"},
     "bounds.run": FILES | STAGES | {"case", "results", "loop"},
+    "bounds.tasks": FILES | STAGES | {"case", "results", "loop"},
     "results.figures": FILES | {"sensor"},
     "results": FILES | STAGES | {"case"},
     "loop": VOCABULARY | STAGES | {"case", "results"},

@@ -19,7 +19,7 @@ from glintrack.sensor.ghosts import ghosts, with_window
 from glintrack.sensor.lens import LensDesign, lens_quality, read_lens, with_lens
 from glintrack.sensor.navigation import NavigationDesign, image_motion, navigate, navigation_errors, smear
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
-from glintrack.sensor.presets import Preset, build_preset, read_arrays, read_presets
+from glintrack.sensor.presets import build_preset, read_arrays, read_presets
 from glintrack.sensor.raw import RawDesign, measure_polarization, read_analysers
 from glintrack.sensor.response import response_curves
 from glintrack.sensor.sensor import Sensor, build_sensor, noise_equivalent_radiance
@@ -31,7 +31,6 @@ __all__ = [
     "NavigationDesign",
     "OpticsDesign",
     "Polarizer",
-    "Preset",
     "RawDesign",
     "Sensor",
     "SensorDesign",

@@ -3,10 +3,9 @@
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
 from importlib import resources
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -22,173 +21,76 @@ from glintrack.sensor.polarizer import load_polarizer
 from glintrack.sensor.response import element_response, photon_gain, photon_weights
 from glintrack.sensor.sensor import Sensor, build_sensor
 
-_FILE = resources.files("glintrack") / "data" / "presets.toml"
-_NOTHING = 1e-9  # of the bare response: rounding in an analyser row
+_NOTHING = 1e-9  # electrons per photon: rounding in an analyser row
+Element = str | float | list[float]  # as in the file
 
 
-class PresetArray(NamedTuple):
-    """Share of the light that falls on an array, and the filters over its elements.
-
-    Parameters
-    ----------
-    light
-        Share of the light, 0 to 1. [1]
-    elements
-        Filter of each element of the superpixel: ``"open"``, a name of the filters, or the angle of a
-        polarizer. [deg]
-    """
-
-    light: float
-    elements: tuple[tuple[str | float, ...], ...]
-
-
-@dataclass(frozen=True)
-class Preset:
-    """Sensor of one or more arrays that see the same field.
-
-    Parameters
-    ----------
-    name, description
-        Of the sensor.
-    arrays
-        Arrays behind the beam splitters.
-    filters_um
-        First and last wavelength of each filter. [µm]
-    depolarizer
-        Whether the light has S1 = S2 = 0.
-    """
-
-    name: str
-    description: str
-    arrays: tuple[PresetArray, ...]
-    filters_um: Mapping[str, tuple[float, float]]
-    depolarizer: bool = False
-
-
-@lru_cache(maxsize=1)
-def read_presets() -> dict[str, Preset]:
-    """Packaged presets by name."""
-    tables = tomllib.loads(_FILE.read_text(encoding="utf-8"))
-    filters = {name: (float(band[0]), float(band[1])) for name, band in tables["filters_um"].items()}
-    found = {}
-    for name, table in tables["presets"].items():
-        arrays = tuple(PresetArray(a["light"], tuple(map(tuple, a["elements"]))) for a in table["arrays"])
-        found[name] = Preset(
-            name, table["description"], arrays, filters, bool(table.get("depolarizer", False))
-        )
-    return found
+def read_presets() -> dict[str, dict[str, Any]]:
+    """Read the packaged presets, by name; `data/presets.toml` describes their keys."""
+    return tomllib.loads((resources.files("glintrack") / "data" / "presets.toml").read_text("utf-8"))
 
 
 def element_curves(
-    kind: str | float,
-    filters_um: Mapping[str, tuple[float, float]],
-    design: SensorDesign,
-    wavelength_um: Float[Array, "wavelength"],
+    element: Element, design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
 ) -> Float[Array, "3 wavelength"]:
-    """Response of an element to I, Q and U of the light on it. [electrons per photon]
-
-    Parameters
-    ----------
-    kind, filters_um
-        As in `PresetArray` and `Preset`.
-    design, wavelength_um
-        Band, quantum efficiency, lens and polarizer; and the grid. [µm]
-    """
-    bare = element_response(design, wavelength_um)
-    out = np.zeros((3, len(bare)))
-    if not isinstance(kind, str):
-        used = bare > 0
-        row = load_polarizer(design).analyser_row(wavelength_um[used], math.radians(kind))
-        out[:, used] = row[:, :3].T * bare[used]
+    """Response of an element to I, Q and U of the light on it. [electrons per photon]"""
+    bare, out = element_response(design, wavelength_um), np.zeros((3, len(wavelength_um)))
+    if element == OPEN:
+        out[0] = bare
+    elif isinstance(element, list):
+        out[0] = bare * band_response(element[0], element[1], wavelength_um)
     else:
-        out[0] = bare if kind == OPEN else bare * band_response(*filters_um[kind], wavelength_um)
+        used, angle = bare > 0, math.radians(float(element))
+        row = load_polarizer(design).analyser_row(wavelength_um[used], angle)
+        out[:, used] = row[:, :3].T * bare[used]
+    if not out[0].any():
+        raise ValueError(
+            f"`sensor.band_um` must overlap the filter {element} µm of a preset; got {design.band_um}."
+        )
     return out
 
 
 def build_preset(
-    preset: Preset, design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
+    preset: Mapping[str, Any], design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
 ) -> tuple[Sensor, ...]:
-    """Sensor of each array of a preset, with lens, pitch, exposure and electronics of a design.
-
-    Parameters
-    ----------
-    preset
-        From `read_presets`.
-    design
-        The sensor whose superpixel the preset replaces.
-    wavelength_um
-        Grid of the radiance. [µm]
-
-    Raises
-    ------
-    ValueError
-        If the design's band has no light for one of the filters.
-    """
-    return tuple(_build_array(array, preset, design, wavelength_um) for array in preset.arrays)
+    """Sensor of each array of a preset, with lens, pitch, exposure and electronics of a design."""
+    own = {"optics.depolarizer": preset.get("depolarizer", False), "fill_dark_mirrors": "none"}
+    return tuple(_build_array(design.replace(own), wavelength_um, **one) for one in preset["arrays"])
 
 
-def _build_array(array: PresetArray, preset: Preset, design: SensorDesign, wavelength_um: Array) -> Sensor:
-    side = len(array.elements)
-    own = design.replace(
-        {
-            "layout": ((OPEN,) * side,) * side,
-            "demosaic": "superpixel",
-            "fill_dark_mirrors": "none",
-            "optics.depolarizer": preset.depolarizer,
-        }
-    )
-    base = build_sensor(own, wavelength_um)
-    found = []  # element, component of the light, channel, electrons
-    for i, j in np.ndindex(side, side):
-        kind = array.elements[i][j]
-        curves = element_curves(kind, preset.filters_um, own, wavelength_um)
-        if not curves[0].any():
-            raise ValueError(
-                f"`sensor.band_um` must contain the filter {kind!r} of the preset {preset.name!r}; "
-                f"got {own.band_um[0]:g} to {own.band_um[1]:g} µm."
-            )
-        for component, curve in enumerate(curves):
-            if np.abs(curve).max() > _NOTHING * curves[0].max():
-                weights = photon_weights(wavelength_um, curve)
-                sign = math.copysign(array.light, weights.sum())
-                gain = sign * photon_gain(own, wavelength_um, np.abs(curve))
-                found.append(((i, j), component, math.copysign(1.0, sign) * weights, gain))
-    channels, index = unique_channels([one[2] for one in found])
-    planes = tuple(sorted({(k, one[1]) for k, one in zip(index.tolist(), found, strict=True)}))
+def _build_array(
+    design: SensorDesign, wavelength_um: Array, light: float, elements: Sequence[Sequence[Element]]
+) -> Sensor:
+    side = len(elements)
+    design = design.replace({"layout": ((OPEN,) * side,) * side, "demosaic": "superpixel"})
+    curves = np.array([[element_curves(what, design, wavelength_um) for what in row] for row in elements])
+    used = np.argwhere(np.abs(curves).max(axis=-1) > _NOTHING)  # row, column, component
+    weights = np.array([photon_weights(wavelength_um, curves[tuple(one)]) for one in used])
+    signs = np.sign(weights.sum(axis=1))
+    channels, index = _unique_channels(signs[:, None] * weights)
+    planes = tuple(sorted(set(zip(index.tolist(), used[:, 2].tolist(), strict=True))))
     gains, white = np.zeros((side, side, len(planes))), np.zeros((side, side, 3))
-    for k, (place, component, weights, gain) in zip(index.tolist(), found, strict=True):
-        gains[(*place, planes.index((k, component)))] += gain
-        white[(*place, component)] += gain * weights.sum()
-    kernels = lens_kernels(base.design, wavelength_um, np.abs(channels))
-    return replace(
-        base, channels=channels, planes=planes, element_gains=gains, stokes_gains=white, kernels=kernels
-    )
+    for k, (i, j, component), sign, weight in zip(index.tolist(), used.tolist(), signs, weights, strict=True):
+        gain = light * photon_gain(design, wavelength_um, np.abs(curves[i, j, component]))
+        gains[i, j, planes.index((k, component))] = sign * gain
+        white[i, j, component] = gain * weight.sum()
+    base = build_sensor(design, wavelength_um)
+    own = {"channels": channels, "planes": planes, "element_gains": gains, "stokes_gains": white}
+    return replace(base, **own, kernels=lens_kernels(base.design, wavelength_um, np.abs(channels)))
 
 
-def unique_channels(channels: Sequence[Array]) -> tuple[Float[Array, "channel wavelength"], Array]:
+def _unique_channels(channels: Array) -> tuple[Array, Array]:
     """Distinct channels, and the index of each one's own."""
-    rows, index = np.unique(np.round(np.array(channels), 12), axis=0, return_inverse=True)
+    rows, index = np.unique(np.round(channels, 12), axis=0, return_inverse=True)
     return rows, index.ravel()
 
 
 def read_arrays(
     arrays: Sequence[Sensor], radiance: Radiance, rng: np.random.Generator
 ) -> list[Float[Array, "row column"]]:
-    """Readings of some arrays of the same light, each with its own noise. [W m⁻² sr⁻¹ µm⁻¹]
-
-    Parameters
-    ----------
-    arrays
-        From `build_preset`, of one or more presets.
-    radiance
-        Light of the frame; it is shaded once for all arrays.
-    rng
-        Source of the noise.
-    """
-    weights, index = unique_channels(np.concatenate([sensor.channels for sensor in arrays]))
-    light, start, out = np.asarray(radiance(weights).values), 0, []
-    for sensor in arrays:
-        mine = index[start : start + len(sensor.channels)]
-        start += len(mine)
-        out.append(read_out(light_on_elements(light[:, :, mine], sensor), sensor, rng))
-    return out
+    """Read out arrays of `build_preset` in the same light, shaded once. [W m⁻² sr⁻¹ µm⁻¹]"""
+    weights, index = _unique_channels(np.concatenate([sensor.channels for sensor in arrays]))
+    parts = np.split(index, np.cumsum([len(sensor.channels) for sensor in arrays])[:-1])
+    light = np.asarray(radiance(weights).values)
+    planes = [light_on_elements(light[:, :, part], one) for part, one in zip(parts, arrays, strict=True)]
+    return [read_out(some, sensor, rng) for some, sensor in zip(planes, arrays, strict=True)]
