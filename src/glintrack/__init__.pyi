@@ -1,16 +1,4 @@
-from . import (
-    atmosphere,
-    devices,
-    flight,
-    metrics,
-    ortho,
-    render,
-    scene,
-    sensor,
-    stokes,
-    study,
-    track,
-)
+from . import atmosphere, devices, flight, metrics, ortho, render, scene, sensor, stokes, study, track
 from .camera import Camera, Pose
 from .case.check import assess_case
 from .case.design import Case

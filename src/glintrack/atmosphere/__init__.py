@@ -7,14 +7,6 @@ from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_d
 from glintrack.atmosphere.tables import is_solved, solve_tables
 
 __all__ = [
-    "AtmosphereDesign",
-    "earth_sun_distance",
-    "interpolate_map",
-    "is_solved",
-    "path_stokes",
-    "rayleigh_slab",
-    "sky_stokes",
-    "solar_irradiance",
-    "solve_tables",
-    "sun_direction",
-]
+    "AtmosphereDesign", "earth_sun_distance", "interpolate_map", "is_solved", "path_stokes", "rayleigh_slab",
+    "sky_stokes", "solar_irradiance", "solve_tables", "sun_direction",
+]  # fmt: skip

@@ -8,18 +8,7 @@ from glintrack.dataset.plan import DatasetPlan, plan_dataset, split_by_city, sta
 from glintrack.dataset.shards import LabelledFrame, simulate_frames
 
 __all__ = [
-    "BASELINES",
-    "SCORES",
-    "Baseline",
-    "DatasetPlan",
-    "LabelledFrame",
-    "TrackingSet",
-    "build_dataset",
-    "plan_dataset",
-    "read_plan",
-    "read_rows",
-    "score_baselines",
-    "simulate_frames",
-    "split_by_city",
+    "BASELINES", "SCORES", "Baseline", "DatasetPlan", "LabelledFrame", "TrackingSet", "build_dataset",
+    "plan_dataset", "read_plan", "read_rows", "score_baselines", "simulate_frames", "split_by_city",
     "standard_cases",
-]
+]  # fmt: skip

@@ -19,12 +19,7 @@ from glintrack.metrics.requirement import jackknife
 from glintrack.metrics.sharpness import edge_rises, robust_sigma, temporal_noise
 from glintrack.track.detect.footprint import footprints, window_means
 from glintrack.track.detect.frame import Frame
-from glintrack.track.detect.median_motion import (
-    CAP,
-    FOOTPRINT_M,
-    MedianMotionDetector,
-    standardize_frames,
-)
+from glintrack.track.detect.median_motion import CAP, FOOTPRINT_M, MedianMotionDetector, standardize_frames
 from glintrack.track.files import FRAMES_DESIGN, as_rows, is_lasting, track_frames
 
 TILES = 4  # along each side of the grid

@@ -7,15 +7,6 @@ from glintrack.devices.optical_constants import MetalDesign, permittivity
 from glintrack.devices.wire_grid.design import PAPER_GRIDS, FemDesign, WireGridDesign
 
 __all__ = [
-    "PAPER_GRIDS",
-    "EtalonDesign",
-    "FemDesign",
-    "MetalDesign",
-    "MicromirrorDesign",
-    "WireGridDesign",
-    "etalon",
-    "micromirror",
-    "optical_constants",
-    "permittivity",
-    "wire_grid",
-]
+    "PAPER_GRIDS", "EtalonDesign", "FemDesign", "MetalDesign", "MicromirrorDesign", "WireGridDesign",
+    "etalon", "micromirror", "optical_constants", "permittivity", "wire_grid",
+]  # fmt: skip

@@ -109,10 +109,7 @@ def _clear(epochs: Sequence[Similarity]) -> dict[str, float]:
         before[v[i]] = last[v[i]] = t[j]
         hits, misses, false = hits + len(i), misses + len(v) - len(i), false + len(t) - len(i)
         total += similarity[i, j].sum()
-    return {
-        "mota": (hits - false - switches) / max(1, hits + misses),
-        "motp": float(total / max(1, hits)),
-    }
+    return {"mota": (hits - false - switches) / max(1, hits + misses), "motp": float(total / max(1, hits))}
 
 
 def idf1(epochs: Sequence[Similarity]) -> float:

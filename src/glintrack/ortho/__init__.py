@@ -12,16 +12,6 @@ from glintrack.ortho.occlusion import occlusion_mask
 from glintrack.ortho.rectify import METHODS, orthorectify, rectify_array, rectify_onto, register
 
 __all__ = [
-    "METHODS",
-    "ground_grid",
-    "heights_at",
-    "intersect_terrain",
-    "occlusion_mask",
-    "on_ground",
-    "orthorectify",
-    "rectify_array",
-    "rectify_onto",
-    "register",
-    "transform_axes",
-    "transform_places",
-]
+    "METHODS", "ground_grid", "heights_at", "intersect_terrain", "occlusion_mask", "on_ground",
+    "orthorectify", "rectify_array", "rectify_onto", "register", "transform_axes", "transform_places",
+]  # fmt: skip

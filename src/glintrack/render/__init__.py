@@ -17,26 +17,8 @@ from glintrack.render.vehicles import (
 )
 
 __all__ = [
-    "FrameCache",
-    "Hits",
-    "Observer",
-    "Outlines",
-    "SceneTracer",
-    "Sky",
-    "TracedFrame",
-    "Tracer",
-    "build_tracer",
-    "build_vehicle_tracer",
-    "elements_near_traffic",
-    "frame_rays",
-    "keep_frames",
-    "one_sample_each",
-    "outlines",
-    "shade",
-    "shade_blocks",
-    "surface_model",
-    "trace",
-    "unpack_sky",
-    "vehicle_mask",
-    "visible_fraction",
-]
+    "FrameCache", "Hits", "Observer", "Outlines", "SceneTracer", "Sky", "TracedFrame", "Tracer",
+    "build_tracer", "build_vehicle_tracer", "elements_near_traffic", "frame_rays", "keep_frames",
+    "one_sample_each", "outlines", "shade", "shade_blocks", "surface_model", "trace", "unpack_sky",
+    "vehicle_mask", "visible_fraction",
+]  # fmt: skip

@@ -4,10 +4,4 @@ from glintrack.report.page import build_page
 from glintrack.report.video import Composite, write_video
 from glintrack.report.view import ResultServer, serve_result
 
-__all__ = [
-    "Composite",
-    "ResultServer",
-    "build_page",
-    "serve_result",
-    "write_video",
-]
+__all__ = ["Composite", "ResultServer", "build_page", "serve_result", "write_video"]

@@ -17,12 +17,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.records import Extent
 from glintrack.results.figures.frame import round_length
 from glintrack.results.read import SCORE_LABELS, Result
-from glintrack.results.verdict import (
-    CHANNEL_WORDS,
-    budget_frames,
-    select_channel,
-    stage_shares,
-)
+from glintrack.results.verdict import CHANNEL_WORDS, budget_frames, select_channel, stage_shares
 
 SPECTRA_PER_TRACK = 6
 MAX_SPECTRA = 6_000

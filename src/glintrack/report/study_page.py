@@ -95,10 +95,7 @@ def build_study_page(folder: str | Path, page_folder: str | Path) -> str:
         scripts=("theme.js", "plots.js", "predict.js", "study.js"),
         kind="study" if optimization is None else "optimization",
         optimization=optimization
-        and {
-            "sentences": [in_code(said) for said in optimization.sentences],
-            "tables": optimization.tables,
-        },
+        and {"sentences": [in_code(said) for said in optimization.sentences], "tables": optimization.tables},
         predicts=_PREDICTS[optimization is not None] if predictions else "",
         title=str(source["design"].get("name") or folder.resolve().name),
         notes=_notes(table, source),

@@ -14,13 +14,7 @@ from glintrack.case.design import Case
 from glintrack.io.detections import DetectionTable
 from glintrack.metrics import MATCH_DISTANCE_M, score_epochs, score_tables, summarize
 from glintrack.metrics.rows import Areas
-from glintrack.track import (
-    TrackDesign,
-    TrackerState,
-    report_epochs,
-    start,
-    step_detections,
-)
+from glintrack.track import TrackDesign, TrackerState, report_epochs, start, step_detections
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Grid
 from glintrack.track.files import DETECTIONS_DESIGN, as_rows, track_detections

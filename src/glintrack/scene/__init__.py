@@ -9,18 +9,6 @@ from glintrack.scene.traffic import Recording, write_recording
 from glintrack.scene.vehicles import VEHICLE_CLASSES
 
 __all__ = [
-    "PAINT",
-    "VEHICLE_CLASSES",
-    "City",
-    "Mesh",
-    "PanelDesign",
-    "Recording",
-    "SceneDesign",
-    "Snapshot",
-    "build_scene",
-    "fcd_table",
-    "glb",
-    "load_materials",
-    "record_traffic",
-    "write_recording",
-]
+    "PAINT", "VEHICLE_CLASSES", "City", "Mesh", "PanelDesign", "Recording", "SceneDesign", "Snapshot",
+    "build_scene", "fcd_table", "glb", "load_materials", "record_traffic", "write_recording",
+]  # fmt: skip

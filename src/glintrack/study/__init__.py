@@ -5,42 +5,12 @@ from glintrack.study.folder import StudyFolder, collect_table, read_results, wri
 from glintrack.study.hits import HitsCache
 from glintrack.study.plan import Plan, Point, build_plan, read_plan, source_key
 from glintrack.study.report import analyse, write_report
-from glintrack.study.run import (
-    RunReport,
-    StudyEvent,
-    StudyPace,
-    estimate_cpu_s,
-    forecast,
-    run_study,
-)
+from glintrack.study.run import RunReport, StudyEvent, StudyPace, estimate_cpu_s, forecast, run_study
 from glintrack.study.workers import Pool, Task, attempt, dask, processes, serial, simulate_case
 
 __all__ = [
-    "HitsCache",
-    "Plan",
-    "Point",
-    "Pool",
-    "RunReport",
-    "StudyDesign",
-    "StudyEvent",
-    "StudyFolder",
-    "StudyPace",
-    "Task",
-    "analyse",
-    "attempt",
-    "build_plan",
-    "collect_table",
-    "dask",
-    "estimate_cpu_s",
-    "forecast",
-    "processes",
-    "read_plan",
-    "read_results",
-    "read_study",
-    "run_study",
-    "serial",
-    "simulate_case",
-    "source_key",
-    "write_report",
-    "write_results",
-]
+    "HitsCache", "Plan", "Point", "Pool", "RunReport", "StudyDesign", "StudyEvent", "StudyFolder",
+    "StudyPace", "Task", "analyse", "attempt", "build_plan", "collect_table", "dask", "estimate_cpu_s",
+    "forecast", "processes", "read_plan", "read_results", "read_study", "run_study", "serial",
+    "simulate_case", "source_key", "write_report", "write_results",
+]  # fmt: skip

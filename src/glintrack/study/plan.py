@@ -36,10 +36,7 @@ from glintrack.study.design import (
 )
 
 FORMAT = 1  # of a study's folder, for older programs
-FIELD_KEYS = (
-    "sensor.pitch_um",
-    "sensor.focal_length_mm",
-)  # of the field of view
+FIELD_KEYS = ("sensor.pitch_um", "sensor.focal_length_mm")  # of the field of view
 MAX_JUDGED = 20  # designs of a study
 DECIDE_SCORES = ("embreex", "eclipse-sumo", "sasktran2")
 _PACKAGE = Path(__file__).parents[1]

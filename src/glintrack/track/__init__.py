@@ -11,13 +11,7 @@ from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.files import track_detections, track_frames
 from glintrack.track.frame_detections import FrameDetections, TrackerState, detect_frame, prepare_detections
 from glintrack.track.queries import query_detections, query_predictions
-from glintrack.track.reporting import (
-    PendingEpoch,
-    advance,
-    flush,
-    report,
-    report_epochs,
-)
+from glintrack.track.reporting import PendingEpoch, advance, flush, report, report_epochs
 from glintrack.track.tracker import start, step, step_detections
 
 __all__ = [

@@ -245,9 +245,7 @@ def along_axes(
     return along, ratio
 
 
-def axes(
-    population: Population,
-) -> tuple[Float[Array, "feature"], Float[Array, "feature feature"]]:
+def axes(population: Population) -> tuple[Float[Array, "feature"], Float[Array, "feature feature"]]:
     """Spread within one track over that of all, in the axes that make the latter 1; and those axes.
 
     The population must be informative (`is_informative`).

@@ -22,14 +22,7 @@ from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.flow import update_flow
 from glintrack.track.frame_detections import FrameDetections, TrackerState, detect_frame, prepare_detections
-from glintrack.track.initiation import (
-    concatenate,
-    initiate,
-    no_targets,
-    prune,
-    select,
-    select_unassigned,
-)
+from glintrack.track.initiation import concatenate, initiate, no_targets, prune, select, select_unassigned
 from glintrack.track.queries import ColumnOf, query_predictions
 from glintrack.track.roads import roads_of
 

@@ -45,10 +45,7 @@ def rolling_terrain(
 
 
 def read_dem(
-    path: Path,
-    bounds_m: tuple[float, float, float, float],
-    crs: str,
-    origin_m: tuple[float, float],
+    path: Path, bounds_m: tuple[float, float, float, float], crs: str, origin_m: tuple[float, float]
 ) -> tuple[xr.Dataset, float]:
     """Read the heights of a raster under a scene.
 

@@ -6,17 +6,7 @@ from glintrack.study.optimize.search import Observations, Outcome, Problem, find
 from glintrack.study.optimize.spec import Optimization, OptimizationDesign, read_optimization
 
 __all__ = [
-    "Observations",
-    "Optimization",
-    "OptimizationDesign",
-    "OptimizationResult",
-    "Outcome",
-    "Problem",
-    "StudyRunner",
-    "build_result",
-    "find_cheapest",
-    "read_optimization",
-    "read_result",
-    "run_search",
+    "Observations", "Optimization", "OptimizationDesign", "OptimizationResult", "Outcome", "Problem",
+    "StudyRunner", "build_result", "find_cheapest", "read_optimization", "read_result", "run_search",
     "write_result",
-]
+]  # fmt: skip

@@ -217,9 +217,7 @@ def next_designs(problem: Problem, now: Outcome, cities: Sequence[int]) -> list[
 
 
 def feasibility(
-    requirements: Sequence[Requirement],
-    processes: Sequence[GaussianProcess],
-    places: Float[Array, "n axis"],
+    requirements: Sequence[Requirement], processes: Sequence[GaussianProcess], places: Float[Array, "n axis"]
 ) -> Float[Array, "n requirement"]:
     """Probability of each place to meet each requirement."""
     out = []
