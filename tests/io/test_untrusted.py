@@ -167,19 +167,22 @@ def test_an_output_is_never_written_over(tmp_path):
 
 
 def test_the_second_run_into_one_folder_is_refused(tmp_path):
-    first = atomic.ResultFolder(tmp_path / "out")
-    beside = first.partial.with_name(f".out.partial-{os.getppid()}")  # a process that lives
-    first.partial.rename(beside)
-    with pytest.raises(ValueError, match="must not be written by another run"):
-        atomic.ResultFolder(tmp_path / "out")
-    assert beside.is_dir() and not first.partial.exists()
+    beside = tmp_path / f".out.partial-{os.getppid()}"  # of a process that lives
+    beside.mkdir()
+    with (
+        pytest.raises(ValueError, match="must not be written by another run"),
+        atomic.result_folder(tmp_path / "out"),
+    ):
+        pass
+    assert list(tmp_path.iterdir()) == [beside]
 
 
 def test_what_killed_runs_left_is_removed(tmp_path):
     left = tmp_path / ".out.partial-999999999"
     left.mkdir()
     (left / "half.tif").write_text("x")
-    atomic.ResultFolder(tmp_path / "out").discard()
+    with pytest.raises(KeyboardInterrupt), atomic.result_folder(tmp_path / "out"):
+        raise KeyboardInterrupt
     assert list(tmp_path.iterdir()) == []
 
 

@@ -54,26 +54,22 @@ def polarimetry(
     design = validate_design(RawDesign, values)
     analysers = None if calibration is None else read_analysers(calibration)
     files, console = raw_files(raw), open_console()
-    folder = atomic.ResultFolder(output)
     first: Array | None = None
-    try:
+    with atomic.result_folder(output) as folder:
         for k, path in enumerate(files):
             counts = read_raw(path)
             first = counts if first is None else first
             _check_same_camera(counts, first, path, files[0])
             time_s = None if rate_hz is None else k / rate_hz
             frame = measure_polarization(counts, design, analysers, time_s or 0.0, path)
-            _write(folder.partial, path.stem, frame, time_s)
+            _write(folder, path.stem, frame, time_s)
             dolp = frame["dolp"].values[np.isfinite(frame["dolp"].values)]
             median = f"median DoLP {np.median(dolp):.3f}" if dolp.size else "no DoLP above its floor"
             size, full = " × ".join(map(str, frame["dolp"].shape[::-1])), 100 * frame.attrs["saturated_share"]
             console.print(
                 f"{path.name}: {size} superpixels, {median}, {full:.2g} % of the elements saturated"
             )
-    except BaseException:
-        folder.discard()
-        raise
-    console.print(f"wrote {folder.publish()}: {len(files)} frames")
+    console.print(f"wrote {output}: {len(files)} frames")
 
 
 def _parse_element(word: str) -> float | str:

@@ -56,10 +56,8 @@ def list_designs() -> None:
     console, rows = open_console(), []
     for name in design_names():
         d = validate_design(SensorDesign, {"ready": name})
-        lens, polarizer = (
-            f"{d.focal_length_mm:g} mm F/{d.f_number:g}",
-            d.polarizer if d.has_stokes else "none",
-        )
+        lens = f"{d.focal_length_mm:g} mm F/{d.f_number:g}"
+        polarizer = d.polarizer if d.has_stokes else "none"
         rows.append([name, f"{d.columns}×{d.rows}", f"{d.pitch_um:g}", lens, str(d.layout), polarizer])
     headings = ("name", "elements", "pitch µm", "lens", "superpixel", "polarizer")
     console.print(make_table("packaged sensors", headings, rows, left=len(headings)))

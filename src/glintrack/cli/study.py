@@ -238,18 +238,13 @@ def _print_plan(console: Console, plan: Plan, folder: StudyFolder, cache: Path, 
     mine = {point.replicate for point in plan.points if point.case_key in plan.cases}
     times = f" × {len(mine)} replicates" if len(mine) > 1 else ""
     traced = ahead.frames - ahead.in_cache - ahead.repeats
+    designs = f"{len(plan.points) // len(every)} designs{times}"
+    kept_mb, result_mb = 1e-6 * ahead.kept_bytes, 1e-6 * ahead.result_bytes
     rows = (
-        (
-            "cases",
-            f"{len(plan.cases)} ({len(plan.points) // len(every)} designs{times}), {len(todo)} to simulate",
-        ),
+        ("cases", f"{len(plan.cases)} ({designs}), {len(todo)} to simulate"),
         ("frames", f"{ahead.frames}: {traced} to trace, {ahead.in_cache} cached, {ahead.repeats} shared"),
         ("time", _estimate_time(pace, workers)),
-        (
-            "disk",
-            f"{1e-6 * ahead.kept_bytes:.0f} MB of traced frames in {cache}, "
-            f"{1e-6 * ahead.result_bytes:.0f} MB of results",
-        ),
+        ("disk", f"{kept_mb:.0f} MB of traced frames in {cache}, {result_mb:.0f} MB of results"),
     )
     console.print(make_table(None, (), rows))
     console.print(f"dry run of {plan.design.name}: nothing written")

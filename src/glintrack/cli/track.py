@@ -193,8 +193,7 @@ def _track_frames(
     for _, image in first:
         x, y = image["x"].values, image["y"].values
         cell = float(abs(x[1] - x[0])) if len(x) > 1 else 1.0
-        edges_m = x[0] - cell / 2, y[-1] - cell / 2, x[-1] + cell / 2, y[0] + cell / 2
-        place = replace(place, area_m=Extent(*map(float, edges_m)), cell_m=cell)
+        place = replace(place, area_m=Extent.of_cells(x, y, cell), cell_m=cell)
     rows = as_rows(reports)
     if tracker.reporting.history and rows.sizes:
         rows = rows.isel(row=is_lasting(rows, times_s[-1]))
@@ -249,22 +248,17 @@ def _write(
     if place.crs is not None and count:
         east_m, north_m = (float(np.median(rows[axis].values)) for axis in ("east_m", "north_m"))
         warn_off_map(metric_crs(place.crs), east_m, north_m)
-    folder = atomic.ResultFolder(output)
-    try:
-        names = write_tables(folder.partial, track_table(rows), "tracks", place)
+    with atomic.result_folder(output) as folder:
+        names = write_tables(folder, track_table(rows), "tracks", place)
         if swept:
             lines = [",".join(swept[0]), *(",".join(f"{v:.6g}" for v in one.values()) for one in swept)]
-            atomic.write_text(folder.partial / "froc.csv", "\n".join(lines) + "\n")
+            atomic.write_text(folder / "froc.csv", "\n".join(lines) + "\n")
             names = [*names, "froc.csv"]
         if write_page is not None:
-            write_page(folder.partial / "report.html", rows=rows)
+            write_page(folder / "report.html", rows=rows)
             names = [*names, "report.html"]
-    except BaseException:
-        folder.discard()
-        raise
-    path = folder.publish()
     over = f"{count} {'track' if count == 1 else 'tracks'} over {len(place.times_s)} frames"
     if count:  # which shows coordinates that are in km
         width_m, height_m = (float(np.ptp(rows[axis].values)) for axis in ("east_m", "north_m"))
         over += f" within {width_m:.3g} m × {height_m:.3g} m"
-    console.print(f"wrote {path}: {over} in {', '.join(names)}")
+    console.print(f"wrote {output}: {over} in {', '.join(names)}")

@@ -8,35 +8,18 @@ import importlib
 import json
 import shlex
 import sys
-from importlib import metadata
+from importlib import metadata, resources
 from pathlib import Path
 from types import ModuleType
 from urllib.parse import unquote, urlsplit
 
 VERSION = metadata.version("glintrack")
-_BIBTEX = """\
-@software{{glintrack,
-  title   = {{glintrack: an open simulator of imaging sensors and vehicle tracking}},
-  author  = {{{{The glintrack authors}}}},
-  version = {{{version}}},
-  license = {{BSD-3-Clause}}
-}}
-@inproceedings{{presnar2010,
-  title     = {{Dynamic scene generation, multimodal sensor design, and target tracking demonstration for
-               hyperspectral/polarimetric performance-driven sensing}},
-  author    = {{Presnar, Michael D. and Raisanen, Alan D. and Pogorzala, David R. and Kerekes, John P. and
-               Rice, Andrew C.}},
-  booktitle = {{Proc. SPIE 7672: Polarization: Measurement, Analysis, and Remote Sensing IX}},
-  pages     = {{76720T}},
-  year      = {{2010}},
-  doi       = {{10.1117/12.849469}}
-}}
-"""
 
 
 def citation() -> str:
     """BibTeX entries of this version of the program, and of the paper that it implements."""
-    return _BIBTEX.format(version=VERSION)
+    text = (resources.files("glintrack") / "data" / "citation.bib").read_text(encoding="utf-8")
+    return text.replace("VERSION", VERSION)
 
 
 class MissingExtraError(ValueError):

@@ -18,6 +18,12 @@ class Extent(NamedTuple):
     east_m: float
     north_m: float
 
+    @classmethod
+    def of_cells(cls, x: Float[Array, "x"], y: Float[Array, "y"], cell_m: float) -> "Extent":
+        """Extent of a raster by the middles of its cells; y falls. [m]"""
+        half = 0.5 * cell_m
+        return cls(float(x[0]) - half, float(y[-1]) - half, float(x[-1]) + half, float(y[0]) + half)
+
 
 class Radiance(Protocol):
     """Radiance at the lens in one frame, computed for the channels and pixels that are requested."""

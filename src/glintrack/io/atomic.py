@@ -18,8 +18,9 @@ def content_hash(parts: str | bytes | Iterable[str | bytes], digits: int = 64) -
     return found.hexdigest()[:digits]
 
 
-class ResultFolder:
-    """A result folder that appears whole: written under a temporary name and renamed at the end.
+@contextmanager
+def result_folder(path: Path) -> Iterator[Path]:
+    """Folder under a temporary name, which gets its own at the end; after an error nothing is left.
 
     Parameters
     ----------
@@ -31,34 +32,28 @@ class ResultFolder:
     ValueError
         If the path holds something, its parent cannot be written, or another process writes it.
     """
-
-    def __init__(self, path: str | Path):
-        self.path = Path(path)
-        check_new_folder(self.path)
-        start = f".{self.path.name}.partial-"
-        for other in self.path.parent.glob(f"{glob.escape(start)}*"):
-            number = other.name.removeprefix(start)
-            if number.isdecimal() and int(number) != os.getpid() and _is_alive(int(number)):
-                raise ValueError(
-                    f"`output` must not be written by another run; got {self.path}, which process {number} "
-                    "writes. Choose another -o, or wait."
-                )
-            if number.isdecimal():  # of a process that was killed
-                shutil.rmtree(other, ignore_errors=True)
-        self.partial = self.path.with_name(f"{start}{os.getpid()}")
-        try:
-            self.partial.mkdir(parents=True)
-        except OSError as error:
-            raise ValueError(f"`output` must be writable; got {self.path}: {error.strerror}.") from error
-
-    def publish(self) -> Path:
-        """Give the folder its name."""
-        self.partial.rename(self.path)
-        return self.path
-
-    def discard(self) -> None:
-        """Remove what was written so far."""
-        shutil.rmtree(self.partial, ignore_errors=True)
+    check_new_folder(path)
+    start = f".{path.name}.partial-"
+    for other in path.parent.glob(f"{glob.escape(start)}*"):
+        number = other.name.removeprefix(start)
+        if number.isdecimal() and int(number) != os.getpid() and _is_alive(int(number)):
+            raise ValueError(
+                f"`output` must not be written by another run; got {path}, which process {number} "
+                "writes. Choose another -o, or wait."
+            )
+        if number.isdecimal():  # of a process that was killed
+            shutil.rmtree(other, ignore_errors=True)
+    partial = path.with_name(f"{start}{os.getpid()}")
+    try:
+        partial.mkdir(parents=True)
+    except OSError as error:
+        raise ValueError(f"`output` must be writable; got {path}: {error.strerror}.") from error
+    try:
+        yield partial
+        partial.rename(path)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
 
 
 def _is_alive(process: int) -> bool:

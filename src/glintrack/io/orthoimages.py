@@ -182,9 +182,8 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
     notes = f"radiance: {pan}", *first.notes
     report_reading(folder, "frames", len(files) + others, len(files), left_out, notes)
     if rate_hz is None:
-        check_steps(
-            [time for file in files[:_FIRST] if (time := read_frame_time(file)) is not None], "time_s", folder
-        )
+        known_s = [time for file in files[:_FIRST] if (time := read_frame_time(file)) is not None]
+        check_steps(known_s, "time_s", folder)
 
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
         for k, file in enumerate(files):
@@ -244,14 +243,13 @@ def _check_same_ground(path: Path, mine: _PlacedRaster, first: _PlacedRaster) ->
     near = 1e-3 * first.grid.gsd_m
     apart = [abs(a - b) > near for a, b in zip(astuple(mine.grid), astuple(first.grid), strict=True)]
     if mine.crs != first.crs or mine.shape != first.shape or any(apart):
-        texts = [
+        own, other = (
             f"{one.crs} {one.grid.west_m:.9g}, {one.grid.north_m:.9g}: {one.shape[1]} × {one.shape[0]} cells "
             f"of {one.grid.gsd_m:g} m"
             for one in (mine, first)
-        ]
+        )
         raise ValueError(
-            f"`frames` must all have the first one's CRS, place and size, {texts[1]}; "
-            f"got {texts[0]} in {path}."
+            f"`frames` must all have the first one's CRS, place and size, {other}; got {own} in {path}."
         )
 
 

@@ -28,13 +28,10 @@ from glintrack.io.untrusted import check_heights, open_raster
 
 _COLOURS = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
 _PLURALS = {
-    "meter": "metre",
-    "meters": "metre",
-    "metres": "metre",
-    "feet": "foot",
-    "us foot": "us survey foot",
+    **dict.fromkeys(("meter", "meters", "metres"), "metre"),
+    **dict.fromkeys(("feet", "international foot"), "foot"),
+    **dict.fromkeys(("us foot", "us survey feet", "ftus"), "us survey foot"),
 }
-_PLURALS |= {"us survey feet": "us survey foot", "ftus": "us survey foot", "international foot": "foot"}
 _FILLERS = (-9999, -32767, -32768)  # for missing heights, in files that do not mark them
 
 
@@ -105,15 +102,7 @@ def read_raster(path: Path, name: str, requirement: str = "a raster", *, north_u
     if kinds[:3] == _COLOURS:
         names[:3] = [kind.name for kind in _COLOURS]
     found = tuple(str(one or f"band_{k}") for k, one in enumerate(names, start=1))
-    return Raster(
-        bands,
-        found,
-        dtype="float32" if is_scaled else dtype.name,
-        transform=transform,
-        crs=crs,
-        tags=tags,
-        notes=notes,
-    )
+    return Raster(bands, found, "float32" if is_scaled else dtype.name, transform, crs, tags, notes)
 
 
 @contextmanager

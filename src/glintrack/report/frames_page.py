@@ -51,10 +51,7 @@ class FrameFilm:
         for time_s, image in frames:
             if self.extent_m is None:
                 x, y = image["x"].values, image["y"].values
-                half = 0.5 * float(x[1] - x[0])
-                self.extent_m = Extent(
-                    float(x[0]) - half, float(y[-1]) - half, float(x[-1]) + half, float(y[0]) + half
-                )
+                self.extent_m = Extent.of_cells(x, y, float(x[1] - x[0]))
                 known = image["pan"].values[np.isfinite(image["pan"].values)]
                 self.levels = tuple(np.quantile(known, _LEVELS).tolist()) if len(known) else self.levels
             self.times_s.append(time_s)

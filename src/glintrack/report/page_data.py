@@ -16,7 +16,7 @@ from glintrack.bounds import STAGE_LABELS
 from glintrack.core.arrays import Array
 from glintrack.core.records import Extent
 from glintrack.results.figures.frame import round_length
-from glintrack.results.read import SCORE_LABELS, Result
+from glintrack.results.read import SCORE_LABELS, Result, dataset_at
 from glintrack.results.verdict import CHANNEL_WORDS, budget_frames, select_channel, stage_shares
 
 SPECTRA_PER_TRACK = 6
@@ -98,18 +98,18 @@ def page_data(result: Result) -> dict:
     tree, extent = result.tree, _extent(result)
     times_s = np.array(result.film.get("times_s", []), dtype=float)
     for name in result.channels:
-        times_s = _dataset(tree, name)["time"].values.astype(float)
+        times_s = dataset_at(tree, name)["time"].values.astype(float)
     out = {"name": result.name, "times_s": _numbers(times_s), "extent_m": list(extent)}
     out |= {"channels": {}, "truth": None, "vehicles": {}}
     if tree is None:
         return out
     middle = (0.5 * (extent[0] + extent[2]), 0.5 * (extent[1] + extent[3]))
-    vehicles, paints = _dataset(tree, "vehicles"), {}
+    vehicles, paints = dataset_at(tree, "vehicles"), {}
     if "paint" in vehicles:
         names = map(str, vehicles["paint"].values.tolist())
         paints = dict(zip(vehicles["vehicle"].values.tolist(), names, strict=True))
     out["vehicles"] = {str(k): v for k, v in paints.items()}
-    out["truth"] = _truth_rows(_dataset(tree, "truth"), times_s, middle, extent)
+    out["truth"] = _truth_rows(dataset_at(tree, "truth"), times_s, middle, extent)
     for name in result.channels:
         out["channels"][name] = _channel(tree, name, times_s, middle, paints)
     return out
@@ -125,8 +125,8 @@ def encode(values: Array, kind: str) -> dict:
 
 
 def _channel(tree: xr.DataTree, name: str, times_s: Array, middle: tuple, paints: dict) -> dict:
-    node = _dataset(tree, name)
-    rows, queries, quality = (_dataset(tree, f"{name}/{of}") for of in ("tracks", "queries", "quality"))
+    node = dataset_at(tree, name)
+    rows, queries, quality = (dataset_at(tree, f"{name}/{of}") for of in ("tracks", "queries", "quality"))
     count = rows.sizes.get("row", 0)
     return {
         "curves": {k: _numbers(node[k].values) for k in _CURVES if k in node},
@@ -143,7 +143,7 @@ def _channel(tree: xr.DataTree, name: str, times_s: Array, middle: tuple, paints
             for k in map(str, quality.data_vars)
         },
         "spectra": _spectra(queries, times_s, paints),
-        "froc": _froc(_dataset(tree, f"{name}/froc"), node),
+        "froc": _froc(dataset_at(tree, f"{name}/froc"), node),
     }
 
 
@@ -275,7 +275,7 @@ def _extent(result: Result) -> Extent:
     """West, south, east, north of the ground grid, or of the truth without a film. [m]"""
     if result.film:
         return Extent(*result.film["extent_m"])
-    truth = _dataset(result.tree, "truth")
+    truth = dataset_at(result.tree, "truth")
     if not truth.sizes.get("row"):
         return Extent(-1.0, -1.0, 1.0, 1.0)
     x, y = truth["east_m"].values, truth["north_m"].values
@@ -288,15 +288,6 @@ def _index(times_s: Array, time_s: Array) -> Array:
         return np.zeros(len(time_s), int)
     edges = 0.5 * (times_s[1:] + times_s[:-1])
     return np.searchsorted(edges, time_s.astype(float))
-
-
-def _dataset(tree: xr.DataTree | None, path: str) -> xr.Dataset:
-    """Group of the result; empty if it is missing."""
-    try:
-        node = None if tree is None else tree[path]
-    except KeyError:
-        node = None
-    return node.to_dataset(inherit=False) if isinstance(node, xr.DataTree) else xr.Dataset()
 
 
 def _numbers(values) -> list:

@@ -18,7 +18,7 @@ from glintrack.io.atomic import temporary_path
 from glintrack.results.figures import MARKS
 from glintrack.results.figures.tracks import missed_rows, track_kinds
 from glintrack.results.film import KINDS
-from glintrack.results.read import Result, film_file
+from glintrack.results.read import Result, dataset_at, film_file
 
 TITLES = {"rgb": "natural colour", "pan": "pan", "dolp": "DoLP", "aop": "AoP"}
 _TAIL_S = 8.0
@@ -79,8 +79,8 @@ class Composite:
         one = width // min(2, len(kinds))
         # H.264 needs even sides
         size = tuple(max(2, 2 * round(side / 2)) for side in (one, one * (north - south) / (east - west)))
-        rows = _rows(result, f"{chosen}/tracks") if chosen else xr.Dataset()
-        return cls(result, kinds, chosen, (size[0], size[1]), rows, _rows(result, "truth"))
+        rows = dataset_at(result.tree, f"{chosen}/tracks") if chosen else xr.Dataset()
+        return cls(result, kinds, chosen, (size[0], size[1]), rows, dataset_at(result.tree, "truth"))
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -201,11 +201,3 @@ def _mark(pen: ImageDraw.ImageDraw, kind: str, place: tuple[float, float], colou
         pen.line([*around, around[0]], colour, thick)
     else:
         pen.ellipse([x - r, y - r, x + r, y + r], outline=colour, width=thick)
-
-
-def _rows(result: Result, path: str) -> xr.Dataset:
-    try:
-        node = None if result.tree is None else result.tree[path]
-    except KeyError:
-        node = None
-    return node.to_dataset(inherit=False) if isinstance(node, xr.DataTree) else xr.Dataset()

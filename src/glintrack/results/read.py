@@ -182,12 +182,8 @@ def read_result(path: str | Path, tree: xr.DataTree | None = None) -> Result:
     if tree is not None:
         tree = _remove_broken_tables(tree, notes)
     case, case_text = _read_case(folder, notes)
-    provenance = _read_part(
-        (folder / "provenance.toml", "versions and wall times are not known"),
-        lambda file: read_toml(file, "provenance.toml"),
-        notes,
-    )
-    provenance = provenance or {}
+    part = folder / "provenance.toml", "versions and wall times are not known"
+    provenance = _read_part(part, lambda file: read_toml(file, "provenance.toml"), notes) or {}
     no_frame = bool(provenance.get("interrupted")) and provenance.get("frames_done") == 0
     film = _read_film(folder, [] if no_frame else notes)
     pictures = [film_file(folder, kind, frame) for kind in film.get("kinds", []) for frame in film["frames"]]
@@ -202,15 +198,7 @@ def read_result(path: str | Path, tree: xr.DataTree | None = None) -> Result:
     if provenance.get("interrupted"):
         done, count = provenance.get("frames_done", "?"), provenance.get("frames_asked", "?")
         notes.append(f"The flight was interrupted after {done} of {count} frames.")
-    return Result(
-        path=folder,
-        tree=tree,
-        case=case,
-        case_text=case_text,
-        provenance=provenance,
-        film=film,
-        notes=tuple(notes),
-    )
+    return Result(folder, tree, case, case_text, provenance, film, tuple(notes))
 
 
 def picture_file(folder: Path, name: str) -> Path | None:
@@ -312,6 +300,15 @@ def _remove_broken_tables(tree: xr.DataTree, notes: list[str]) -> xr.DataTree:
             )
             nodes[path] = xr.Dataset()
     return xr.DataTree.from_dict(nodes)
+
+
+def dataset_at(tree: xr.DataTree | None, path: str) -> xr.Dataset:
+    """Group of a result; empty if it is missing."""
+    try:
+        node = None if tree is None else tree[path]
+    except KeyError:
+        node = None
+    return node.to_dataset(inherit=False) if isinstance(node, xr.DataTree) else xr.Dataset()
 
 
 def score_text(value: float | None) -> str:

@@ -96,7 +96,7 @@ class Recorder:
         self.observer = epoch.observer
         self.areas[epoch.time_s] = epoch.true_frame.area
         seen = epoch.true_frame
-        if epoch.index == self.picture_index:
+        if epoch.index == 3 * (self.case.flight.frames - 1) // 4:  # when tracks are established
             self.shown[epoch.channel] = epoch.image
             if self.colour is None:
                 self.colour = self._natural_colour(seen.light, seen.reported_pose)
@@ -132,11 +132,6 @@ class Recorder:
         self.film.times_s.pop(frames, None)  # half a frame
         if last not in self.film.times_s and self.film.frames:
             self.film.add(last, time_s, first_image, self._ground_colour(light, reported_pose))
-
-    @property
-    def picture_index(self) -> int:
-        """Index of the frame in the pictures: three quarters through, when tracks are established."""
-        return (3 * (self.case.flight.frames - 1)) // 4
 
     @property
     def origin_m(self) -> tuple[float, float]:

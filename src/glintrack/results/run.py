@@ -20,7 +20,7 @@ from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
 from glintrack.core.progress import listen
 from glintrack.core.records import ServedQueries
-from glintrack.io.atomic import ResultFolder
+from glintrack.io.atomic import result_folder
 from glintrack.io.detections import read_tracks, read_truth
 from glintrack.io.orthoimages import Geotransform
 from glintrack.io.photographs import PlacedPose
@@ -68,9 +68,9 @@ def run(
     early and saves the frames done.
     """
     design = as_case(case)
-    folder = ResultFolder(Path(output) if output is not None else Path(f"result-{design.name}"))
-    recorder, steps = Recorder(design, folder.partial), FlightBudget(design)
-    try:
+    path = Path(output) if output is not None else Path(f"result-{design.name}")
+    with result_folder(path) as folder:
+        recorder, steps = Recorder(design, folder), FlightBudget(design)
         with _notebook_bar(design.flight.frames) as show:
 
             def measure(epoch: Epoch) -> None:
@@ -86,11 +86,8 @@ def run(
         if budgets := steps.budgets(tree):
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in budgets.items()})
             tree = tree.assign({"bound": bound})
-        written = write_result(folder.partial, design, tree, recorder)
-    except BaseException:
-        folder.discard()
-        raise
-    return read_result(folder.publish(), written)
+        written = write_result(folder, design, tree, recorder)
+    return read_result(path, written)
 
 
 @contextmanager
@@ -265,12 +262,10 @@ def score(
     return metrics.score_rows(rows, known, area_m, match_distance_m, moving_speed_m_s)
 
 
-_WARM_UP = {"flight.frames": 6}
 KERNELS = 400  # that the warm-up compiles, about
 
 
 def compile_kernels() -> None:
     """Compile the kernels of a simulation by a short one of `quickstart`; see ``glintrack warm-up``."""
-    case = as_case("quickstart").replace(_WARM_UP)
     with TemporaryDirectory() as folder:
-        run(case, Path(folder) / "result")
+        run(as_case("quickstart").replace({"flight.frames": 6}), Path(folder) / "result")

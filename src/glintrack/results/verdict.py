@@ -39,7 +39,7 @@ def select_channel(scores: Mapping[str, Mapping[str, float]]) -> str | None:
     scores
         Scores of each channel, from `Result.scores`.
     """
-    shares = {name: float(of.get("completeness", math.nan)) for name, of in scores.items()}
+    shares = {name: _number(of, "completeness") for name, of in scores.items()}
     finite = {name: value for name, value in shares.items() if math.isfinite(value)}
     return max(finite, key=lambda name: finite[name]) if finite else None
 
@@ -56,18 +56,12 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
     """
     name = select_channel(scores)
     if name is None:
-        false = {
-            CHANNEL_WORDS.get(k, k): float(of.get("false_per_km2", math.nan)) for k, of in scores.items()
-        }
-        rates = [f"{_count(n)} in {words}" for words, n in false.items() if math.isfinite(n)]
-        said = f"No vehicle moves {scored_area(tree)}. False tracks per km²: {', '.join(rates)}." * bool(
-            rates
-        )
+        false = {CHANNEL_WORDS.get(k, k): _number(of, "false_per_km2") for k, of in scores.items()}
+        rates = ", ".join(f"{_count(n)} in {words}" for words, n in false.items() if math.isfinite(n))
+        said = f"No vehicle moves {scored_area(tree)}. False tracks per km²: {rates}." if rates else ""
         return (describe_undecided(tree, next(iter(scores))) + said).strip() if scores else ""
     of = scores[name]
-    visible, custody, false = (
-        float(of.get(k, math.nan)) for k in ("completeness_visible", "custody", "false_per_km2")
-    )
+    visible, custody, false = (_number(of, k) for k in ("completeness_visible", "custody", "false_per_km2"))
     lag_s = float(_attributes(tree, name).get("report_lag_s", 0.0))
     text = f"{describe_subject(name)} {per_hundred(of['completeness'])} of 100 moving vehicles"
     text += f" {scored_area(tree)}"
@@ -109,9 +103,7 @@ def describe_other_channels(scores: Mapping[str, Mapping[str, float]]) -> str:
     """
     parts = []
     for name in [name for name in scores if name != select_channel(scores)]:
-        visible, false = (
-            float(scores[name].get(k, math.nan)) for k in ("completeness_visible", "false_per_km2")
-        )
+        visible, false = (_number(scores[name], k) for k in ("completeness_visible", "false_per_km2"))
         if math.isfinite(visible) and math.isfinite(false):
             parts.append(
                 f"{describe_subject(name)} {per_hundred(visible)} of 100 visible vehicles, with "
@@ -180,12 +172,9 @@ def format_accuracy(attributes: Mapping[Any, Any]) -> str:
     attributes
         Attributes of a loss budget: medians over the visible movers and frames.
     """
-    medians = {
-        name: float(attributes.get(f"position_bound_{name}_median_m", math.nan))
-        for name in ("sensor", "detector")
-    }
+    medians = {name: _number(attributes, f"position_bound_{name}_median_m") for name in _BOUND_WORDS}
     parts = [f"{_BOUND_WORDS[name]} {value:.2g} m" for name, value in medians.items() if math.isfinite(value)]
-    median = float(attributes.get("position_error_tracker_median_m", math.nan))
+    median = _number(attributes, "position_error_tracker_median_m")
     if math.isfinite(median):
         parts.append(f"tracks reported at once {median:.2g} m")
     return "median position error of visible moving vehicles: " + (", ".join(parts) or "not measured")
@@ -234,9 +223,7 @@ def _about_scores(
 ) -> Iterator[str]:
     """Scores without the lag, and of the frames of the loss budget."""
     live, share = _attributes(tree, name), budget.get("tracker")
-    visible, false = (
-        float(live.get(f"{k}_at_once", math.nan)) for k in ("completeness_visible", "false_per_km2")
-    )
+    visible, false = (_number(live, f"{k}_at_once") for k in ("completeness_visible", "false_per_km2"))
     if math.isfinite(visible + false):
         yield (
             f"Tracks are reported {live['report_lag_s']:g} s late (`track.reporting.lag_s`), so that later "
@@ -284,7 +271,7 @@ def _about_design(
         judged = assess_case(case, ("view", "sensor", "tracker"))
         yield from (f"Design: {one.reason}." for one in judged if one.answer == "bad")
         yield from (f"{text[0].upper()}{text[1:]}." for text in describe_unfitted(judged))
-    valid, false = (float(scores.get(key, math.nan)) for key in ("tracked_per_km2", "false_per_km2"))
+    valid, false = (_number(scores, key) for key in ("tracked_per_km2", "false_per_km2"))
     limit, share = case.track.reporting.max_false_share, false / (valid + false) if false > 0 else math.nan
     found = f"/{name}/detections"
     used = case.track.effective(found not in tree.groups or "log_likelihood_ratio" in tree[found])
@@ -308,7 +295,7 @@ def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
 
 
 def _few_movers(tree: xr.DataTree, name: str, case: Case | None) -> Iterator[str]:
-    movers = float(_attributes(tree, name).get("vehicles_per_frame", math.nan))
+    movers = _number(_attributes(tree, name), "vehicles_per_frame")
     if movers < _MIN_MOVERS:
         by_file = case is not None and (case.scene.traffic_file is not None or case.scene.city == "mesh")
         more = "" if by_file else " A smaller `scene.traffic_insertion_period_s` gives more traffic."
@@ -327,6 +314,11 @@ def describe_subject(channel: str) -> str:
 def _attributes(tree: xr.DataTree, name: str) -> Mapping[Any, Any]:
     """Scores and other attributes of a channel."""
     return tree[name].attrs if name in tree.children else {}
+
+
+def _number(values: Mapping[Any, Any], key: str) -> float:
+    """Value of a key; NaN without one."""
+    return float(values.get(key, math.nan))
 
 
 def describe_frames(count: int) -> str:

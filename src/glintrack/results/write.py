@@ -32,6 +32,7 @@ from glintrack.results.figures import tracks as plot_tracks
 from glintrack.results.figures.frame import azimuth_of, draw_bearings, on_map
 from glintrack.results.film import picture_name
 from glintrack.results.froc import flight_froc
+from glintrack.results.read import dataset_at
 from glintrack.results.recorder import Colour, Recorder
 from glintrack.sensor import response_curves
 from glintrack.sensor.sensor import ETALON_STEPS
@@ -52,7 +53,7 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     Parameters
     ----------
     folder
-        Usually the unpublished half of an `io.ResultFolder`, with the frames that the recorder wrote.
+        Usually a folder of `io.atomic.result_folder`, with the frames that the recorder wrote.
     case, tree, recorder
         The design, the result of `simulate`, and its recorder.
 
@@ -67,7 +68,7 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     write_text(folder / "provenance.toml", _provenance(tree))
     whole = _with_record(tree, recorder)
     write_tree(folder / "result.nc", whole)
-    write_tables(folder, truth_table(_node(tree, "truth")), "truth", place)
+    write_tables(folder, truth_table(dataset_at(tree, "truth")), "truth", place)
     (folder / "pictures").mkdir()
     if recorder.observer is None:
         return whole
@@ -75,8 +76,8 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
         write_table(folder / "boxes.csv", recorder.boxes(), BOX_COLUMNS)
     (folder / "frames").mkdir(exist_ok=True)
     for channel in case.channels:
-        write_tables(folder, track_table(_node(tree, f"{channel}/tracks")), f"tracks_{channel}", place)
-        scores = _node(tree, channel).rename_dims(time="row").rename_vars(time="time_s")
+        write_tables(folder, track_table(dataset_at(tree, f"{channel}/tracks")), f"tracks_{channel}", place)
+        scores = dataset_at(tree, channel).rename_dims(time="row").rename_vars(time="time_s")
         write_table(folder / f"scores_{channel}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS)
     _write_film(folder / "film", recorder)
     for name, figure in (*pictures(tree, recorder), *design_pictures(case)):
@@ -96,9 +97,9 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
         ax.set_title(f"{recorder.case.name}: natural colour, rectified")
         draw_bearings(ax, bearings)
         yield "rgb", figure
-    truth = _node(tree, "truth")
+    truth = dataset_at(tree, "truth")
     for channel, image in recorder.shown.items():
-        rows = _node(tree, f"{channel}/tracks")
+        rows = dataset_at(tree, f"{channel}/tracks")
         time_s = image.attrs["time_s"]
         figure, ax = _figure(10.5, 6.4)
         show = plot_tracks.show_dolp if channel == "dolp" else plot_tracks.show_pan
@@ -118,7 +119,7 @@ def _georeference(case: Case, tree: xr.DataTree, recorder: Recorder) -> TrackGeo
     """Position and times of tracks and truth; without a CRS if no frame was simulated."""
     if recorder.observer is None:
         return TrackGeoreference(time_zero=case.atmosphere.utc)
-    city, times_s = recorder.observer.city, _node(tree, case.channels[0])["time"].values.tolist()
+    city, times_s = recorder.observer.city, dataset_at(tree, case.channels[0])["time"].values.tolist()
     return TrackGeoreference(
         crs=city.crs,
         origin_m=recorder.origin_m,
@@ -184,7 +185,7 @@ def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
         nodes[f"{channel}/detections"] = recorder.detections(channel)
         if recorder.observer is not None and recorder.grid is not None:
             found, grid, area_of = recorder.found.get(channel, []), recorder.grid, recorder.areas.__getitem__
-            truth = _node(tree, "truth")
+            truth = dataset_at(tree, "truth")
             nodes[f"{channel}/froc"] = flight_froc(recorder.case, channel, found, truth, grid, area_of)
     nodes["vehicles"] = recorder.vehicles()
     return xr.DataTree.from_dict(nodes)
@@ -204,12 +205,6 @@ def _write_film(folder: Path, recorder: Recorder) -> None:
         "channel": recorder.case.channels[0],
     }
     write_text(folder / "film.json", json.dumps(place | film.index(), indent=1) + "\n")
-
-
-def _node(tree: xr.DataTree, path: str) -> xr.Dataset:
-    node = tree[path]
-    assert isinstance(node, xr.DataTree)
-    return node.to_dataset(inherit=False)
 
 
 def _figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:

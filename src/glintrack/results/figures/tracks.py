@@ -167,9 +167,7 @@ def show_completeness(ax: Axes, result: xr.DataTree) -> None:
 
 def _extent(image: xr.Dataset) -> Extent:
     """Ground that a rectified frame shows, to the edges of its pixels. [m]"""
-    half = 0.5 * float(image.attrs["gsd_m"])
-    x, y = image["x"].values, image["y"].values
-    return Extent(x[0] - half, y[-1] - half, x[-1] + half, y[0] + half)
+    return Extent.of_cells(image["x"].values, image["y"].values, float(image.attrs["gsd_m"]))
 
 
 def _ground_axes(ax: Axes, image: xr.Dataset | None = None) -> None:
