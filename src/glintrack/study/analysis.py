@@ -14,10 +14,6 @@ References
 Box and Draper, Response Surfaces, Mixtures, and Ridge Analyses (Wiley, 2007), Section 3.
 """
 
-# pandas' overloads give an index of a frame more types than it can have
-# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
-# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
-
 import itertools
 import math
 from collections.abc import Container, Sequence

@@ -1,9 +1,5 @@
 """Comparisons of designs: contrasts, agreement of ranks (Kendall's τ), and A/A tests of intervals."""
 
-# pandas' overloads give an index of a frame more types than it can have
-# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
-# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
-
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any

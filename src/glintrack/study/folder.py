@@ -1,9 +1,5 @@
 """Folder of a study: finished cases, tracebacks of failed ones, and all results as one table."""
 
-# pandas' overloads give an index of a frame more types than it can have
-# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
-# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
-
 import io
 import json
 import os

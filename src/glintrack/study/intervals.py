@@ -14,10 +14,6 @@ References
 Hesterberg, Am. Stat. 69, 371 (2015). Westfall and Young, Resampling-Based Multiple Testing (Wiley, 1993).
 """
 
-# pandas' overloads give an index of a frame more types than it can have
-# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
-# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
-
 import json
 import math
 import warnings

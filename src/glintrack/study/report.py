@@ -1,9 +1,5 @@
 """Report of a study: all tables that its design allows, their figures, and requirements by point."""
 
-# pandas' overloads give an index of a frame more types than it can have
-# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
-# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
-
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path

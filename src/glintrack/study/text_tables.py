@@ -3,10 +3,6 @@
 The importance of an axis is that in the channel with the highest score, as in a run's verdict.
 """
 
-# pandas' overloads give an index of a frame more types than it can have
-# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
-# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
