@@ -6,13 +6,13 @@ volume, external, of spheres.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import as_file, files
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
+from glintrack.core.installation import data_file
 
 MIXTURES: Mapping[str, Mapping[str, float]] = {
     # Volume fractions of WMO/TD-No. 24 (1986) as given in the 6S user guide (Vermote et al. 1997, part 2,
@@ -46,9 +46,7 @@ class AerosolOptics:
 
 def read_components() -> xr.Dataset:
     """Read the packaged Mie table of the basic components, `wavelength` in µm."""
-    resource = files("glintrack") / "data" / "atmosphere" / "aerosol_components.nc"
-    with as_file(resource) as path:
-        return xr.load_dataset(path, engine="h5netcdf")
+    return xr.load_dataset(data_file("atmosphere", "aerosol_components.nc"), engine="h5netcdf")
 
 
 def aerosol_optics(aerosol: str, wavelength_um: Float[Array, "wavelength"]) -> AerosolOptics:

@@ -9,7 +9,6 @@ and the band's light is the sum of theirs (Lacis and Oinas, J. Geophys. Res. 96,
 
 import math
 from collections.abc import Callable, Mapping
-from importlib.resources import as_file, files
 
 import numpy as np
 import xarray as xr
@@ -17,6 +16,7 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 
 from glintrack.core.arrays import Array
+from glintrack.core.installation import data_file
 from glintrack.core.schema import EARTH_RADIUS_M
 from glintrack.core.spectral import resample
 
@@ -92,9 +92,7 @@ def slant_weights(
 
 def read_gases() -> xr.Dataset:
     """Read the packaged optical depth by gas, amount and wavelength (µm)."""
-    resource = files("glintrack") / "data" / "atmosphere" / "gas_transmittance.nc"
-    with as_file(resource) as path:
-        return xr.load_dataset(path, engine="h5netcdf")
+    return xr.load_dataset(data_file("atmosphere", "gas_transmittance.nc"), engine="h5netcdf")
 
 
 def gas_amounts(water_cm: float) -> dict[str, float]:

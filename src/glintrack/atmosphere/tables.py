@@ -6,8 +6,6 @@ import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import nullcontext
-from importlib.resources import as_file, files
-from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ import xarray as xr
 
 from glintrack.atmosphere.design import AtmosphereDesign
 from glintrack.atmosphere.sun import sun_direction
+from glintrack.core.installation import data_file
 from glintrack.core.progress import step
 from glintrack.core.schema import RADIANCE, check
 from glintrack.io.atomic import write_bytes
@@ -110,15 +109,12 @@ def with_radiances(tables: xr.Dataset) -> xr.Dataset:
 
 def read_shipped(design: AtmosphereDesign) -> xr.Dataset | None:
     """Read the package's tables of this design; None if there are none."""
-    resource = _shipped(design)
-    if not resource.is_file():
-        return None
-    with as_file(resource) as path:
-        return xr.load_dataset(path, engine="h5netcdf")
+    path = _shipped(design)
+    return xr.load_dataset(path, engine="h5netcdf") if path.is_file() else None
 
 
-def _shipped(design: AtmosphereDesign) -> Traversable:
-    return files("glintrack") / "data" / "atmosphere" / f"tables_{design.content_key()}.nc"
+def _shipped(design: AtmosphereDesign) -> Path:
+    return data_file("atmosphere", f"tables_{design.content_key()}.nc")
 
 
 def write_tables(tables: xr.Dataset, path: Path) -> None:

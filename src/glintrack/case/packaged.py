@@ -3,10 +3,11 @@
 from pathlib import Path
 
 from glintrack.core.designs import suggest_name
+from glintrack.core.installation import data_file
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file
 
-PACKAGED_CASES = Path(__file__).parents[1] / "data" / "cases"
+PACKAGED_CASES = data_file("cases")
 
 
 def list_cases() -> list[str]:

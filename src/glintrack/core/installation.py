@@ -1,4 +1,4 @@
-"""Version and citation of the program, and the shell command that installs a missing extra.
+"""Version, data files and citation of the program, and the shell command that installs a missing extra.
 
 The command depends on the origin of this installation (PEP 610): a clone, an archive or a registry.
 ``pip install 'glintrack[…]'`` works for a registry alone.
@@ -8,18 +8,29 @@ import importlib
 import json
 import shlex
 import sys
-from importlib import metadata, resources
+import tomllib
+from importlib import metadata
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
 VERSION = metadata.version("glintrack")
 
 
+def data_file(*parts: str) -> Path:
+    """Path of a file or folder of the package's data."""
+    return Path(__file__).parents[1].joinpath("data", *parts)
+
+
+def read_data(*parts: str) -> dict[str, Any]:
+    """Read a TOML file of the package's data."""
+    return tomllib.loads(data_file(*parts).read_text(encoding="utf-8"))
+
+
 def citation() -> str:
     """BibTeX entries of this version of the program, and of the paper that it implements."""
-    text = (resources.files("glintrack") / "data" / "citation.bib").read_text(encoding="utf-8")
-    return text.replace("VERSION", VERSION)
+    return data_file("citation.bib").read_text(encoding="utf-8").replace("VERSION", VERSION)
 
 
 class MissingExtraError(ValueError):

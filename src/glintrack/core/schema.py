@@ -2,16 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
+
+from glintrack.core.installation import read_data
 
 RADIANCE = "W m-2 sr-1 um-1"
 COUNT = "count"  # of an uncalibrated camera
 # tracking channels, as people read them
 CHANNEL_WORDS = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
-# stopped: coasted, and standing; tentative: reported later, once confirmed
-TRACK_STATUSES = ("measured", "coasted", "stopped", "tentative")
 IRRADIANCE = "W m-2 um-1"
 EARTH_RADIUS_M = 6_371_000.0  # mean
 MOVING_SPEED_M_S = 1.0  # a vehicle of the truth at least this fast is moving
@@ -35,92 +36,15 @@ class Variable:
     choices: tuple[str, ...] = ()
 
 
-COORDINATE_UNITS: Mapping[str, str] = {
-    "wavelength": "um",
-    "zenith": "rad",
-    "view_zenith": "rad",
-    "azimuth": "rad",
-    "altitude": "m",
-    "time": "s",
-    "gap": "um",
-    "x": "m",
-    "y": "m",
-}
+def _variable(table: Mapping[str, Any]) -> Variable:
+    return Variable(**{key: tuple(of) if isinstance(of, list) else of for key, of in table.items()})
 
+
+_TABLES = read_data("schemas.toml")
+COORDINATE_UNITS: Mapping[str, str] = _TABLES["coordinates"]
 SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
-    # atmosphere -> render. Radiance fields are spectral components times angular maps:
-    # sky_radiance[λ] = Σ_k sky_spectrum[k, λ] · sky_map[k]; the path likewise, times
-    # path_gas[altitude, λ].
-    "atmosphere": {
-        "sun_irradiance": Variable(("wavelength",), IRRADIANCE, 0),
-        "sky_irradiance": Variable(("wavelength",), IRRADIANCE, 0),
-        "spherical_albedo": Variable(("wavelength",), "1", 0, 1),
-        "transmittance": Variable(("wavelength", "altitude", "view_zenith"), "1", 0, 1),
-        "sky_spectrum": Variable(("sky_component", "wavelength"), RADIANCE),
-        "sky_map": Variable(("sky_component", "zenith", "azimuth", "stokes"), "1"),
-        "path_spectrum": Variable(("path_component", "wavelength"), RADIANCE),
-        "path_gas": Variable(("altitude", "wavelength"), "1", 0),
-        "path_map": Variable(("path_component", "altitude", "view_zenith", "azimuth", "stokes"), "1"),
-    },
-    # scene -> render
-    "materials": {
-        "reflectance": Variable(("material", "wavelength"), "1", 0, 1),
-        "transmittance": Variable(("material", "wavelength"), "1", 0, 1),
-        "refractive_index": Variable(("material",), "1", 0),
-        "extinction_index": Variable(("material",), "1", 0),
-        "refractive_index_spectrum": Variable(("material", "wavelength"), "1", 0),
-        "extinction_index_spectrum": Variable(("material", "wavelength"), "1", 0),
-        "roughness": Variable(("material",), "1", 0, 1),
-        "specular_weight": Variable(("material",), "1", 0, 1),
-        "mottle": Variable(("material",), "1", 0, 1),
-        "gap_fraction": Variable(("material",), "1", 0, 1),
-    },
-    # scene -> simulate -> metrics; never to the tracker
-    "truth": {
-        "east_m": Variable(("vehicle",), "m"),
-        "north_m": Variable(("vehicle",), "m"),
-        "up_m": Variable(("vehicle",), "m"),
-        "east_speed_m_s": Variable(("vehicle",), "m s-1"),
-        "north_speed_m_s": Variable(("vehicle",), "m s-1"),
-        "heading_rad": Variable(("vehicle",), "rad"),
-        "length_m": Variable(("vehicle",), "m", 0),
-        "width_m": Variable(("vehicle",), "m", 0),
-        "height_m": Variable(("vehicle",), "m", 0),
-    },
-    # devices -> sensor
-    "etalon": {"transmittance": Variable(("gap", "wavelength"), "1", 0, 1)},
-    # sensor -> ortho: superpixels, y and x in elements of the array
-    "frame": {
-        "pan": Variable(("y", "x"), RADIANCE, nan_allowed=True, or_units=COUNT),
-        "stokes_radiance": Variable(("y", "x", "stokes"), RADIANCE, nan_allowed=True, or_units=COUNT),
-    },
-    # sensor -> track
-    "spectra": {
-        "radiance": Variable(("query", "wavelength"), RADIANCE, nan_allowed=True),
-        "noise": Variable(("query", "wavelength"), RADIANCE, 0, nan_allowed=True),
-        "served": Variable(("query",), "1", 0, 1),
-        "track_id": Variable(("query",), "1"),
-        "east_m": Variable(("query",), "m"),
-        "north_m": Variable(("query",), "m"),
-    },
-    # ortho -> track: ground grid, y northing falling, x easting rising; Stokes in `meridian`
-    "image": {
-        "pan": Variable(("y", "x"), RADIANCE, nan_allowed=True),
-        "stokes_radiance": Variable(("y", "x", "stokes"), RADIANCE, nan_allowed=True),
-        "dolp": Variable(("y", "x"), "1", 0, nan_allowed=True),
-    },
-    # scene -> ortho
-    "terrain": {"height": Variable(("y", "x"), "m")},
-    # track -> metrics
-    "tracks": {
-        "east_m": Variable(("track",), "m"),
-        "north_m": Variable(("track",), "m"),
-        "east_speed_m_s": Variable(("track",), "m s-1"),
-        "north_speed_m_s": Variable(("track",), "m s-1"),
-        "east_var_m2": Variable(("track",), "m2", 0),
-        "north_var_m2": Variable(("track",), "m2", 0),
-        "status": Variable(("track",), "1", choices=TRACK_STATUSES),
-    },
+    schema: {name: _variable(one) for name, one in variables.items()}
+    for schema, variables in _TABLES["schemas"].items()
 }
 
 

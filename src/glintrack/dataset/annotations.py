@@ -7,13 +7,12 @@ datasets", Commun. ACM 64 (12), 86 (2021).
 
 import json
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from glintrack.core.installation import VERSION, require_extra
+from glintrack.core.installation import VERSION, data_file, require_extra
 from glintrack.dataset.plan import SPLITS, DatasetPlan, city_of
 from glintrack.io.atomic import write_text
 from glintrack.io.netcdf import read_dataset
@@ -135,7 +134,7 @@ def datasheet(plan: DatasetPlan, boxes: dict[str, pd.DataFrame]) -> str:
     boxes
         Rows of boxes of each case.
     """
-    template = (resources.files("glintrack") / "data" / "datasheet.md").read_text(encoding="utf-8")
+    template = data_file("datasheet.md").read_text(encoding="utf-8")
     return template.format(composition=_composition(plan, boxes), version=VERSION, key=plan.key)
 
 

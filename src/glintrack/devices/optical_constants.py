@@ -6,7 +6,6 @@ model.
 """
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Self
 
@@ -18,52 +17,13 @@ from scipy.constants import c, e, epsilon_0, h
 
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
+from glintrack.core.installation import read_data
 from glintrack.io.spectra import read_spectra
 
 MetalName = Literal["aluminium", "silver", "gold"]
 PAPER_ALUMINIUM_S_PER_M = 35.6e6  # Presnar et al. (2010), §3.1
 _MAX_INDEX = 1e4  # of n and k: aluminium reaches 200 at 30 µm
 _EV_UM = h * c / e * 1e6  # photon energy [eV] times wavelength [µm]
-
-
-@dataclass(frozen=True)
-class LorentzDrude:
-    """Plasma frequency ħω_p [eV], f [1], ħΓ [eV] and ħω [eV] of each oscillator, and range of the fit [µm].
-
-    The first oscillator is the free electrons (frequency 0).
-    """
-
-    plasma_ev: float
-    strength: tuple[float, ...]
-    damping_ev: tuple[float, ...]
-    frequency_ev: tuple[float, ...]
-    range_um: tuple[float, float]
-
-
-# Rakić, Djurišić, Elazar and Majewski, Applied Optics 37, 5271 (1998), Tables 1 and 2 (LD model)
-LORENTZ_DRUDE: dict[str, LorentzDrude] = {
-    "aluminium": LorentzDrude(
-        14.98,
-        (0.523, 0.227, 0.050, 0.166, 0.030),
-        (0.047, 0.333, 0.312, 1.351, 3.382),
-        (0.0, 0.162, 1.544, 1.808, 3.473),
-        (0.062, 248.0),  # 0.005 to 20 eV
-    ),
-    "silver": LorentzDrude(
-        9.01,
-        (0.845, 0.065, 0.124, 0.011, 0.840, 5.646),
-        (0.048, 3.886, 0.452, 0.065, 0.916, 2.419),
-        (0.0, 0.816, 4.481, 8.185, 9.083, 20.29),
-        (0.207, 12.4),  # 0.1 to 6 eV
-    ),
-    "gold": LorentzDrude(
-        9.03,
-        (0.760, 0.024, 0.010, 0.071, 0.601, 4.384),
-        (0.053, 0.241, 0.345, 0.870, 2.494, 2.214),
-        (0.0, 0.415, 0.830, 2.969, 4.304, 13.32),
-        (0.207, 12.4),  # 0.1 to 6 eV
-    ),
-}
 
 
 class MetalDesign(Design):
@@ -125,15 +85,14 @@ def permittivity(metal: MetalDesign, wavelength_um: ArrayLike) -> Complex[Array,
         _check_range(wavelength_um, (table_um[0], table_um[-1]), metal.table.name)
         n, k = (np.interp(wavelength_um, table_um, table[name]) for name in ("n", "k"))
         return (n + 1j * k) ** 2
-    model = LORENTZ_DRUDE[metal.name]
-    _check_range(wavelength_um, model.range_um, f"the Lorentz–Drude model of {metal.name}")
+    model = read_data("devices", "lorentz_drude.toml")[metal.name]
+    _check_range(wavelength_um, model["range_um"], f"the Lorentz–Drude model of {metal.name}")
     energy = _EV_UM / wavelength_um
     eps = np.ones(energy.shape, dtype=complex)
     # a free electron is an oscillator of frequency 0
-    for strength, damping, frequency in zip(
-        model.strength, model.damping_ev, model.frequency_ev, strict=True
-    ):
-        eps = eps + strength * model.plasma_ev**2 / (frequency**2 - energy**2 - 1j * energy * damping)
+    for oscillator in zip(model["strength"], model["damping_ev"], model["frequency_ev"], strict=True):
+        strength, damping, frequency = oscillator
+        eps = eps + strength * model["plasma_ev"] ** 2 / (frequency**2 - energy**2 - 1j * energy * damping)
     return eps
 
 

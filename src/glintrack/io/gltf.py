@@ -41,11 +41,8 @@ class Document:
     ) -> int:
         """Add a material with a gamma-encoded colour, and return its number."""
         colour = [*(float(c) for c in decode_srgb(np.asarray(srgb, float))), float(opacity)]
-        look = {
-            "baseColorFactor": colour,
-            "metallicFactor": float(metallic),
-            "roughnessFactor": float(roughness),
-        }
+        shares = {"metallicFactor": float(metallic), "roughnessFactor": float(roughness)}
+        look = {"baseColorFactor": colour, **shares}
         made = {"name": name, "doubleSided": True, "pbrMetallicRoughness": look}
         self.materials.append(made if opacity >= 1 else {**made, "alphaMode": "BLEND"})
         return len(self.materials) - 1
@@ -116,11 +113,5 @@ class Document:
         text = json.dumps(document, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         data = b"".join(self.chunks)
-        total = 12 + 8 + len(text) + 8 + len(data)
-        return b"".join(
-            [
-                struct.pack("<3I", _MAGIC, 2, total),
-                *(struct.pack("<2I", len(text), _JSON), text),
-                *(struct.pack("<2I", len(data), _BIN), data),
-            ]
-        )
+        head = struct.pack("<5I", _MAGIC, 2, 28 + len(text) + len(data), len(text), _JSON)
+        return b"".join([head, text, struct.pack("<2I", len(data), _BIN), data])

@@ -140,16 +140,9 @@ def _write(
     units: Sequence[str] = (),
 ) -> None:
     use_own_proj()
-    profile = {
-        "driver": "COG",
-        "height": bands[0].shape[0],
-        "width": bands[0].shape[1],
-        "count": len(bands),
-        "dtype": dtype,
-        "crs": crs,
-        "transform": transform,
-        "compress": "deflate",
-    }
+    height, width = bands[0].shape
+    profile = {"driver": "COG", "height": height, "width": width, "count": len(bands), "dtype": dtype}
+    profile |= {"crs": crs, "transform": transform, "compress": "deflate"}
     is_integer = np.issubdtype(dtype, np.integer)
     if not is_integer:
         profile["nodata"] = np.nan

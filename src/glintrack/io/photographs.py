@@ -82,15 +82,8 @@ class CameraFile(Design):
 
     def camera(self) -> Camera:
         """Make the frame camera."""
-        return Camera(
-            self.focal_length_mm * 1e-3,
-            self.pitch_um * 1e-6,
-            self.rows,
-            self.columns,
-            principal_row=self.principal_row,
-            principal_column=self.principal_column,
-            distortion=self.distortion,
-        )
+        size = self.focal_length_mm * 1e-3, self.pitch_um * 1e-6, self.rows, self.columns
+        return Camera(*size, self.principal_row, self.principal_column, self.distortion)
 
 
 class PoseFile(Design):

@@ -85,12 +85,8 @@ class _GeotiffWriter(_GdalWriter):
         super().__init__(path, layout, {"driver": "GTiff", "bigtiff": "IF_SAFER", **kind})
         for k in range(layout.count if layout.wavelength_um else 0):
             c = k % len(layout.channels)
-            self.file.update_tags(
-                k + 1,
-                wavelength=f"{layout.wavelength_um[c]:.6g}",
-                fwhm=f"{layout.width_um[c]:.6g}",
-                wavelength_units="Micrometers",
-            )
+            middle, width = f"{layout.wavelength_um[c]:.6g}", f"{layout.width_um[c]:.6g}"
+            self.file.update_tags(k + 1, wavelength=middle, fwhm=width, wavelength_units="Micrometers")
         self.file.update_tags(**dict(layout.attributes), **_attributes(layout))
 
     def write(self, row: int, channel: int, values: Float[Array, "component channel y x"]) -> None:

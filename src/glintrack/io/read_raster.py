@@ -102,7 +102,8 @@ def read_raster(path: Path, name: str, requirement: str = "a raster", *, north_u
     if kinds[:3] == _COLOURS:
         names[:3] = [kind.name for kind in _COLOURS]
     found = tuple(str(one or f"band_{k}") for k, one in enumerate(names, start=1))
-    return Raster(bands, found, "float32" if is_scaled else dtype.name, transform, crs, tags, notes)
+    kind = "float32" if is_scaled else dtype.name
+    return Raster(bands, found, kind, transform, crs, tags, notes=notes)
 
 
 @contextmanager

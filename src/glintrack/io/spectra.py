@@ -6,7 +6,6 @@ large negative numbers such as −9999 and USGS's −1.23e34.
 
 import re
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
+from glintrack.core.installation import data_file
 from glintrack.io.readings import report_reading
 from glintrack.io.tables import read_csv, read_numbers
 from glintrack.io.untrusted import read_text
@@ -92,7 +92,7 @@ def read_spectra(
             )
         spectra[name] = np.interp(um, um[known], values[known, column])
         notes += [f"{(~known).sum()} missing values of {name} are filled in"] * (not known.all())
-    if not path.is_relative_to(str(resources.files("glintrack"))):
+    if not path.is_relative_to(data_file()):
         span = f"{um[0]:.4g} to {um[-1]:.4g} µm"
         report_reading(path, "wavelengths", len(table), len(um), notes=[span, *notes])
     return spectra

@@ -8,9 +8,7 @@ import base64
 import contextlib
 import json
 import math
-import tomllib
 from collections.abc import Mapping
-from importlib.resources import files
 from typing import NamedTuple
 
 import jinja2
@@ -20,6 +18,7 @@ from glintrack.bounds import STAGE_LABELS, STAGES_NOTE
 from glintrack.case.design import Case
 from glintrack.case.niirs import describe_niirs
 from glintrack.case.packaged import find_case, find_packaged_case
+from glintrack.core.installation import data_file, read_data
 from glintrack.report.page_data import budget_bars, page_data, plan
 from glintrack.results.headline import headline
 from glintrack.results.read import (
@@ -41,7 +40,6 @@ from glintrack.results.verdict import (
     view_facts,
 )
 
-_PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {
     "sky": "Radiance, degree and angle of polarization of the sky, looking up: north is up, east on the left",
     "light": "Sun, sky and path against wavelength",
@@ -148,7 +146,7 @@ def render_page(template: str, scripts: tuple[str, ...], **values: object) -> st
 
 def read_terms() -> dict[str, dict[str, str]]:
     """Explanations of stages, scores and other terms."""
-    return tomllib.loads(_part("terms.toml"))
+    return read_data("page", "terms.toml")
 
 
 def script_json(value: object) -> Markup:
@@ -243,7 +241,7 @@ def _niirs(case: Case) -> list[Markup]:
 
 
 def _part(name: str) -> str:
-    return (_PARTS / name).read_text(encoding="utf-8")
+    return data_file("page", name).read_text(encoding="utf-8")
 
 
 def _film_pictures(result: Result) -> dict[str, list[str]]:

@@ -198,7 +198,7 @@ def read_result(path: str | Path, tree: xr.DataTree | None = None) -> Result:
     if provenance.get("interrupted"):
         done, count = provenance.get("frames_done", "?"), provenance.get("frames_asked", "?")
         notes.append(f"The flight was interrupted after {done} of {count} frames.")
-    return Result(folder, tree, case, case_text, provenance, film, tuple(notes))
+    return Result(folder, tree, case, case_text, provenance, film, notes=tuple(notes))
 
 
 def picture_file(folder: Path, name: str) -> Path | None:

@@ -11,10 +11,8 @@ measured reflectance. It is synthetic: reflectance is measured, transmittance is
 """
 
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -28,6 +26,7 @@ from glintrack.core import schema, spectral
 from glintrack.core.arrays import Array
 from glintrack.core.colour import SRGB_FROM_XYZ, encode_srgb
 from glintrack.core.designs import Design, validate_design
+from glintrack.core.installation import data_file, read_data
 from glintrack.io.spectra import read_spectra
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file, resolve_path
@@ -115,9 +114,7 @@ def load_materials(polarized_bases: bool = False, variation: float = 0.0) -> xr.
     of vehicles with that paint, 0 for other materials) and ``preview_rgb`` (sRGB, gamma-encoded, for
     pictures). Treat it as read-only.
     """
-    data = resources.files("glintrack") / "data"
-    table = tomllib.loads((data / "materials.toml").read_text(encoding="utf-8"))
-    designs = {name: MaterialDesign(**entry) for name, entry in table.items()}
+    designs = {name: MaterialDesign(**entry) for name, entry in read_data("materials.toml").items()}
     return _dataset(designs, None, polarized_bases, variation)
 
 
@@ -285,7 +282,7 @@ def _read_user(name: str, column: str, wavelength: Array, folder: Path | None) -
 
 
 def _read_packaged(name: str, column: str, wavelength: Array, key: str) -> Array:
-    path = Path(str(resources.files("glintrack"))) / "data" / "spectra" / f"{name}.csv"
+    path = data_file("spectra", f"{name}.csv")
     if not (name.isidentifier() and len(name) <= 100 and path.is_file()):  # no path to another folder
         raise ValueError(f"`{key}` must be one of the packaged spectra; got {name!r}.")
     return _read_column(path, column, wavelength)

@@ -6,14 +6,13 @@ signature: windscreens of cars stand 30° above the horizontal (60° from the ve
 and buses about 80°. Roofs are crowned along and across, so that no two roof facets glint at once.
 """
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 
 import numpy as np
 
+from glintrack.core.installation import read_data
 from glintrack.scene.objects.geometry import PAINT, Mesh, MeshBuilder, box_patch
 
 VEHICLE_CLASSES = ("car", "hatch", "van", "truck", "bus", "suv", "motorcycle")  # order of the model indices
@@ -51,8 +50,7 @@ class VehicleDesign:
 @cache
 def load_vehicles() -> Mapping[str, VehicleDesign]:
     """Load the packaged vehicle models by name, in the order of `VEHICLE_CLASSES`."""
-    path = resources.files("glintrack") / "data" / "vehicles.toml"
-    tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    tables = read_data("vehicles.toml")
     for table in tables.values():
         table["sections"] = tuple(Section(**section) for section in table["sections"])
     return {name: VehicleDesign(**tables[name]) for name in VEHICLE_CLASSES}

@@ -1,17 +1,15 @@
 """Catalogue of real detector arrays and lenses: figures that were read in data sheets, with their sources."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from typing import Any, Literal
 
 from glintrack.core.designs import suggest_name
+from glintrack.core.installation import read_data
 
 Kind = Literal["detectors", "lenses"]
-_FOLDER = resources.files("glintrack") / "data" / "catalogue"
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,7 @@ class CatalogueItem:
 @cache
 def read_catalogue(kind: Kind) -> Mapping[str, CatalogueItem]:
     """Read the detector arrays or the lenses, by name."""
-    tables = tomllib.loads((_FOLDER / f"{kind}.toml").read_text(encoding="utf-8"))
+    tables = read_data("catalogue", f"{kind}.toml")
     pages, assumed, items = tables.pop("pages"), tables.pop("assumed", {}), {}
     for name, row in tables.items():
         read, title = row.pop("read"), row.pop("title")

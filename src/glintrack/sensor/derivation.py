@@ -7,7 +7,6 @@ so that sensor keeps its values and another pitch, F-number or band gets its own
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -15,12 +14,13 @@ from jaxtyping import Float
 
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
+from glintrack.core.installation import data_file
 from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM
 from glintrack.core.units import unit_of
 from glintrack.io.spectra import read_spectra
 from glintrack.sensor.layouts import LAYOUTS
 
-SILICON = str(resources.files("glintrack") / "data" / "sensors" / "silicon.csv")
+SILICON = str(data_file("sensors", "silicon.csv"))
 DEFAULT_PITCH_UM, DEFAULT_F_NUMBER, DEFAULT_EFFICIENCY, DEFAULT_TRANSMISSION = 17.0, 5.6, 0.6, 0.85
 DEFAULT_BAND_UM = (0.4, 1.0)
 _SPOT_UM, _FULL_WELL_E, _READ_NOISE_E, _EXPOSURE_MS = 12.0, 267e3, 20.0, 0.085

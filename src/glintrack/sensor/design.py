@@ -1,8 +1,6 @@
 """The sensor's design: one frozen model, from the ``[sensor]`` table of a case."""
 
 import math
-import tomllib
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -12,13 +10,13 @@ from pydantic import Field, model_validator
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
 from glintrack.core.distortion import Distortion
+from glintrack.core.installation import data_file, read_data
 from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, check_band
 from glintrack.io.untrusted import resolve_path
 from glintrack.sensor import derivation as derive
 from glintrack.sensor.catalogue import read_catalogue
 from glintrack.sensor.layouts import MIRROR, Demosaicker, Superpixel, check_demosaicker, places, superpixel
 
-_FOLDER = resources.files("glintrack") / "data" / "sensors"
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
 Rms = Annotated[float, Field(ge=-1e4, le=1e4)]
 Wavelength = Annotated[
@@ -333,7 +331,7 @@ class SensorDesign(Design):
 
 def design_names() -> list[str]:
     """Names of the ready designs that come with the package."""
-    return sorted(p.name.removesuffix(".toml") for p in _FOLDER.iterdir() if p.name.endswith(".toml"))
+    return sorted(path.stem for path in data_file("sensors").glob("*.toml"))
 
 
 def design_keys(name: str) -> dict[str, Any]:
@@ -351,5 +349,4 @@ def design_keys(name: str) -> dict[str, Any]:
             f"`glintrack sensor list`; got {name!r}."
         )
     array = dict(arrays[name].figures) if name in arrays else {}
-    text = (_FOLDER / f"{name}.toml").read_text(encoding="utf-8") if name in packaged else ""
-    return array | tomllib.loads(text)
+    return array | (read_data("sensors", f"{name}.toml") if name in packaged else {})

@@ -6,9 +6,7 @@ design. Rays that are reflected twice are in `ghosts`; scatter is not traced, se
 """
 
 import math
-import tomllib
 import warnings
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -22,7 +20,7 @@ from pydantic import Field, model_validator
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design, validate_design
 from glintrack.core.distortion import Distortion
-from glintrack.core.installation import require_extra
+from glintrack.core.installation import data_file, read_data, require_extra
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file, plain
 from glintrack.sensor.design import SensorDesign
@@ -74,8 +72,7 @@ class LensDesign(Design):
 
 def lens_names() -> list[str]:
     """Names of the packaged prescriptions."""
-    folder = resources.files("glintrack") / "data" / "lenses"
-    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
+    return sorted(path.stem for path in data_file("lenses").glob("*.toml"))
 
 
 def read_lens(name: str) -> LensDesign:
@@ -94,8 +91,7 @@ def read_lens(name: str) -> LensDesign:
             convert = f"python docs/howto/my_zemax_lens.py {name} lens.toml"
             raise ValueError(f"`lens` must be a TOML file; got the Zemax file {name}. Convert it: {convert}")
         return validate_design(LensDesign, read_toml(name, "lens"))
-    packaged = resources.files("glintrack") / "data" / "lenses" / f"{name}.toml"
-    return validate_design(LensDesign, tomllib.loads(packaged.read_text(encoding="utf-8")))
+    return validate_design(LensDesign, read_data("lenses", f"{name}.toml"))
 
 
 def build_optic(lens: LensDesign) -> Any:

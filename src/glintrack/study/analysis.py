@@ -308,16 +308,9 @@ def fit_surface(
         q, root = np.linalg.qr(x)
         coefficients = np.linalg.solve(root, q.T @ score)
         freedom = flights - terms
+        sigma = math.sqrt(((score - x @ coefficients) ** 2).sum() / freedom)
         return ResponseSurface(
-            axes=tuple(axes),
-            low=low,
-            high=high,
-            log=log,
-            quadratic=quadratic,
-            coefficients=coefficients,
-            root=root,
-            sigma=math.sqrt(((score - x @ coefficients) ** 2).sum() / freedom),
-            freedom=freedom,
+            tuple(axes), low, high, log, quadratic, coefficients, root=root, sigma=sigma, freedom=freedom
         )
     return None
 

@@ -8,7 +8,6 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from glintrack.io import atomic, images
@@ -38,6 +37,7 @@ _MIN_RANK_CORRELATION = 0.4  # between an axis and the view, not by chance in fo
 _MAX_FIELD_CHANGE = 0.02  # by rounding to whole superpixels
 _MAX_PAIRED_AXES = 6  # with a table of interactions
 _INTERVAL = "95 % interval"
+_UPPER = ["top", "right"]  # sides of a diagram without a frame
 
 
 def write_report(
@@ -271,15 +271,11 @@ def _draw_intervals(rows: pd.DataFrame, xlabel: str) -> Figure:
     ax.set_yticks(range(len(labels)), [text if len(text) < 60 else f"{text[:57]}…" for text in labels])
     ax.set_ylim(len(labels) - 0.5, -0.5)
     ax.tick_params(axis="y", labelsize=7)
-    _remove_frame(ax)
+    ax.spines[_UPPER].set_visible(False)
     figure.supxlabel(xlabel, fontsize=10)  # wider than the axis may be
     if len(groups) > 1:
         figure.legend(frameon=False, fontsize=8, loc="outside upper right")
     return figure
-
-
-def _remove_frame(ax: Axes) -> None:
-    ax.spines[["top", "right"]].set_visible(False)
 
 
 def _draw_effects(mine: pd.DataFrame, score: str) -> Figure:
@@ -315,7 +311,7 @@ def _draw_surrogate(mine: pd.DataFrame, score: str) -> Figure:
             ends = part["low"], part["high"]
             panel.fill_between(part["value"], *ends, color=colour, alpha=0.15, linewidth=0)
         panel.set_xlabel(axis)
-        _remove_frame(panel)
+        panel.spines[_UPPER].set_visible(False)
     panels[0].set_ylabel(f"{score} of a flight (90 %)")
     panels[0].legend(frameon=False, fontsize=8)
     return figure
@@ -332,7 +328,7 @@ def _draw_pareto(found: pd.DataFrame) -> Figure:
             style = {"color": colour, "marker": marker, "markersize": 6, "markeredgecolor": "black"}
             ax.step(front["data_rate_mbit_s"], front[gain], where="post", label=f"{channel}, front", **style)
         ax.set(xlabel=NAMES["data_rate_mbit_s"], ylabel=NAMES[gain])
-        _remove_frame(ax)
+        ax.spines[_UPPER].set_visible(False)
     ax.legend(frameon=False, fontsize=8)
     return figure
 
@@ -350,6 +346,6 @@ def _draw_froc(found: pd.DataFrame) -> Figure:
         marker = CHANNELS[str(channel)][1]
         ax.plot(part["false_per_frame"], part["completeness"], marker=marker, label=label, **style)
     ax.set(xlabel=NAMES["false_per_frame"], ylabel=NAMES["completeness"])
-    _remove_frame(ax)
+    ax.spines[_UPPER].set_visible(False)
     ax.legend(frameon=False, fontsize=6, loc="center left", bbox_to_anchor=(1, 0.5))
     return figure

@@ -97,17 +97,10 @@ def run_study(
     pending = [key for key in plan.cases if folder.outcome(key) is None]
     for key in plan.cases:
         folder.remove_failure(key)
-    run = _Run(
-        plan=plan,
-        folder=folder,
-        pool=pool,
-        cache=cache,
-        simulate=simulate,
-        callback=callback or (lambda event: None),
-        pending=pending,
-        geometry_of={key: geometry(plan.cases[key]) if cache else key for key in pending},
-        report=RunReport(finished_before=len(plan.cases) - len(pending)),
-    )
+    callback = callback or (lambda event: None)
+    places = {key: geometry(plan.cases[key]) if cache else key for key in pending}
+    report = RunReport(finished_before=len(plan.cases) - len(pending))
+    run = _Run(plan, folder, pool, cache, simulate, callback, geometry_of=places, report=report)
     return run.drive()
 
 
@@ -136,7 +129,6 @@ class _Run:
     cache: Path | None
     simulate: Simulate
     callback: Callable[[StudyEvent], None]
-    pending: list[str]
     geometry_of: Mapping[str, str]
     report: RunReport
     work: deque[str] = field(init=False)
@@ -194,7 +186,7 @@ class _Run:
     def _uses(self, place: str) -> Counter[float]:
         """Count the cases of this run that need each frame of a geometry."""
         if place not in self.uses:
-            mine = (self.plan.cases[key].flight for key in self.pending if self.geometry_of[key] == place)
+            mine = (self.plan.cases[key].flight for key, at in self.geometry_of.items() if at == place)
             self.uses[place] = Counter(t for flight in mine for t in frame_times(flight).tolist())
         return self.uses[place]
 

@@ -6,7 +6,6 @@ Each file of ``data/calibration`` holds what one script fitted, and the range in
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
+from glintrack.core.installation import data_file
 from glintrack.io.toml import read_toml
 
 
@@ -75,4 +75,4 @@ def read_calibration(name: str) -> Calibration:
 
 def calibration_file(name: str) -> Path:
     """Path of a calibration."""
-    return Path(str(resources.files("glintrack"))) / "data" / "calibration" / f"{name}.toml"
+    return data_file("calibration", f"{name}.toml")

@@ -8,6 +8,7 @@ import xarray as xr
 from jaxtyping import Bool, Float
 
 from glintrack.core.arrays import Array
+from glintrack.core.installation import read_data
 from glintrack.core.records import Extent, Rows
 from glintrack.io.detections import DetectionTable
 from glintrack.track.design import TrackDesign
@@ -21,52 +22,13 @@ MAX_CELLS = 400  # along a side of the area: memory stays small for any coordina
 MARGIN_M = 50.0  # beyond the outermost detections
 _ROUNDING_S = 1e-6
 
-# Detections of another program are vehicles, not change: parallax does not matter, and stopped vehicles may
-# be detected.
-DETECTIONS_DESIGN = TrackDesign().replace(
-    {
-        "reporting.method": "confirmation",
-        "association.gate_probability": 0.999,
-        "motion.model": "imm",
-        "motion.acceleration_psd_m2_s3": 3.0,
-        "motion.straight_s": 20.0,
-        "motion.stopped_detection_probability": 0.1,
-        "initiation.rules": "detections",
-        "association.method": "mht",
-        "query.policy": "none",
-        "identity.outlier_share": 0.0,
-    }
-)
-
-MIN_FRAMES = 3  # of the detector below
+MIN_FRAMES = 3  # of the detector of `FRAMES_DESIGN`
 MIN_DURATION_S = 1.5  # of a track in frames: the lag after which its first position is final
 
-# Change detection in rectified frames gives no likelihood ratios that the existence model knows.
-RECTIFIED_DESIGN = TrackDesign().replace(
-    {
-        "reporting.method": "confirmation",
-        "motion.acceleration_psd_m2_s3": 1.5,
-        "association.gate_probability": 0.999,
-        "initiation.rules": "rectified",
-        "query.policy": "none",
-    }
-)
-
-# Frames alone, rectified, from near nadir: settings of docs/howto/my_frames.md.
-FRAMES_DESIGN = RECTIFIED_DESIGN.replace(
-    {
-        "detect.detector": "median-motion",
-        "detect.max_speed_m_s": 36.0,
-        "association.detection_probability": 0.7,
-        "association.gate_probability": 0.9999,
-        "initiation.rules": "frames",
-        "initiation.confirm_score": 7.0,
-        "initiation.duplicate_m": 4.0,
-        "initiation.coast_s": 1.7,
-        "reporting.coasted": False,
-        "reporting.history": True,
-    }
-)
+_KEYS = read_data("tracking.toml")
+DETECTIONS_DESIGN = TrackDesign().replace(_KEYS["detections"])
+RECTIFIED_DESIGN = TrackDesign().replace(_KEYS["rectified"])
+FRAMES_DESIGN = RECTIFIED_DESIGN.replace(_KEYS["frames"])
 
 
 def frames_design(changes: Mapping[str, object]) -> TrackDesign:

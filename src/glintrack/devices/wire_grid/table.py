@@ -14,7 +14,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from importlib import import_module
 from importlib.metadata import version
-from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from glintrack import stokes
 from glintrack.core import spectral
-from glintrack.core.installation import MissingExtraError, missing_extra
+from glintrack.core.installation import MissingExtraError, data_file, missing_extra
 from glintrack.devices.optical_constants import permittivity
 from glintrack.devices.wire_grid.design import PAPER_GRIDS, WireGridDesign
 from glintrack.io import cache
@@ -63,8 +62,7 @@ def load(name: str) -> xr.Dataset:
     """
     if name not in PAPER_GRIDS:
         raise ValueError(f"`name` must be one of {', '.join(PAPER_GRIDS)}; got {name!r}.")
-    with as_file(files("glintrack") / "data" / "devices" / f"{name}.nc") as path:
-        return complete(xr.load_dataset(path, engine="h5netcdf"))
+    return complete(xr.load_dataset(data_file("devices", f"{name}.nc"), engine="h5netcdf"))
 
 
 def response(

@@ -9,7 +9,6 @@ import tempfile
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -20,6 +19,7 @@ import shapely
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
+from glintrack.core.installation import data_file
 from glintrack.io.readings import collect_readings, report_reading
 from glintrack.io.untrusted import check_file, read_bytes
 from glintrack.scene.objects.surfaces import RoadNetwork
@@ -254,7 +254,6 @@ def keeps_left(longitude_deg: float, latitude_deg: float) -> bool:
 @cache
 def _left_hand_area() -> BaseGeometry:
     """Area of left-hand traffic in degrees, of Natural Earth's countries; good to about 3 km."""
-    path = resources.files("glintrack") / "data" / "traffic" / "left_hand.geojson"
-    area = shapely.from_geojson(path.read_text(encoding="utf-8"))
+    area = shapely.from_geojson(data_file("traffic", "left_hand.geojson").read_text(encoding="utf-8"))
     shapely.prepare(area)
     return area

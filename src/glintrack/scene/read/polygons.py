@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import shapely
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
+from glintrack.core.installation import read_data
 from glintrack.io.readings import report_reading
 from glintrack.scene.objects.geometry import polygons
 from glintrack.scene.read.sumo import read_xml, shape_points
@@ -29,22 +31,6 @@ _FEET = re.compile(
     re.IGNORECASE,
 )
 _MAX_HEIGHT_M = 900.0
-# kind of ground, OpenStreetMap's key, and its values; the first match counts
-_GROUNDS = (
-    ("water", "natural", ("water",)),
-    ("water", "waterway", ("riverbank", "dock")),
-    ("water", "landuse", ("basin", "reservoir")),
-    ("water", "leisure", ("swimming_pool",)),
-    ("forest", "landuse", ("forest",)),
-    ("forest", "natural", ("wood",)),
-    ("parking", "amenity", ("parking",)),
-    ("soil", "natural", ("sand", "beach")),
-    ("soil", "landuse", ("farmland", "construction", "quarry")),
-    ("dry", "natural", ("scrub", "heath")),
-    ("dry", "landuse", ("meadow", "brownfield")),
-    ("lawn", "leisure", ("park", "garden", "pitch")),
-    ("lawn", "landuse", ("grass", "cemetery", "village_green")),
-)
 TOO_SMALL = "smaller than 8 m²"
 _GONE = ("demolished", "razed", "removed", "destroyed", "collapsed", "proposed", "planned")
 _CHUNK = 256  # shapes of one query
@@ -119,6 +105,12 @@ def area_parts(shape: BaseGeometry) -> list[Polygon]:
     return [part for part in polygons(shape) if part.area > _MIN_FOOTPRINT_M2]
 
 
+@cache
+def _read_grounds() -> dict[str, dict[str, list[str]]]:
+    """Kinds of ground, each with OpenStreetMap's keys and values."""
+    return read_data("traffic", "grounds.toml")
+
+
 def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
     """Kind of an area by OpenStreetMap's tags, None if it is none, and why it is left out."""
     building = tags.get("building", "no")
@@ -129,7 +121,8 @@ def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
     if "building" in tags:
         kind = "building"
     else:
-        kind = next((kind for kind, key, values in _GROUNDS if tags.get(key) in values), None)
+        grounds = _read_grounds().items()
+        kind = next((k for k, keys in grounds if any(tags.get(key) in keys[key] for key in keys)), None)
     if kind is None:
         return None, ""
     if kind == "building" and building == "no":

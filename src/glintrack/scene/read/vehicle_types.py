@@ -5,32 +5,11 @@ Whole words are compared, never parts of them: a motorbike is no bike, and a tra
 
 import itertools
 import re
+from functools import cache
 
+from glintrack.core.installation import read_data
 from glintrack.scene.vehicles import VEHICLE_CLASSES
 
-# model and words; the first group that has a word of the name decides, there the last such word: a rail
-# replacement bus is a bus, a delivery truck is a truck
-_NO_ROAD_VEHICLES = (
-    *("pedestrian", "ped", "person", "walker", "wheelchair", "bicycle", "bike", "cyclist", "velo", "scooter"),
-    *("escooter", "tram", "streetcar", "rail", "railcar", "train", "subway", "metro", "monorail", "cablecar"),
-    *("ship", "ferry", "boat", "container", "aircraft", "airplane", "helicopter", "drone"),
-)
-_GROUPS: tuple[dict[str | None, tuple[str, ...]], ...] = (
-    {
-        None: _NO_ROAD_VEHICLES,
-        "motorcycle": ("motorcycle", "motorbike", "moped", "motorscooter", "moto", "motorrad"),
-        "bus": ("bus", "buses", "minibus", "trolleybus", "coach"),
-        "truck": ("truck", "lorry", "lkw", "trailer", "semitrailer", "roadtrain", "hgv", "emergency"),
-    },
-    {
-        "van": ("van", "delivery", "transporter"),
-        "suv": ("suv", "jeep", "offroad", "pickup"),
-        "hatch": ("hatch", "hatchback", "compact", "small"),
-    },
-    {"car": ("car", "passenger", "taxi", "private", "sedan", "pkw", "hov", "authority", "army", "vip")},
-)
-_MODEL_OF = tuple({word: model for model, words in group.items() for word in words} for group in _GROUPS)
-_KNOWN = frozenset().union(*_MODEL_OF)
 _WORD = re.compile(r"[^\W\d_][a-zà-ÿ]+|[^\W\d_a-zà-ÿ]+")
 
 
@@ -38,17 +17,23 @@ def model_of(vehicle_type: str) -> str | None:
     """Name of the model for a vehicle type, else a car; None for what is no motor vehicle of the road."""
     if vehicle_type in VEHICLE_CLASSES:
         return vehicle_type
-    words = [_singular(word) for word in _WORD.findall(vehicle_type)]
+    groups = _read_groups()
+    known = {word for models in groups for word in models}
+    bare = [
+        word.lower().removesuffix("type") for word in _WORD.findall(vehicle_type)
+    ]  # as of SUMO's defaults
+    words = [word.removesuffix("s") if word.removesuffix("s") in known else word for word in bare]
     pairs = [first + second for first, second in itertools.pairwise(["", *words])]  # motor bike, cable car
-    found = [pair if pair in _KNOWN else word for pair, word in zip(pairs, words, strict=True)]
-    for models in _MODEL_OF:
+    found = [pair if pair in known else word for pair, word in zip(pairs, words, strict=True)]
+    for models in groups:
         for word in reversed(found):
             if word in models:
-                return models[word]
+                return None if models[word] == "none" else models[word]
     return "car"
 
 
-def _singular(word: str) -> str:
-    """Word in lower case, without the plural's s and without the ``TYPE`` of SUMO's default types."""
-    word = word.lower().removesuffix("type")
-    return word.removesuffix("s") if word.removesuffix("s") in _KNOWN else word
+@cache
+def _read_groups() -> list[dict[str, str]]:
+    """Model of each word, ``none`` for no road vehicle, in groups of which the first that matches counts."""
+    groups = read_data("traffic", "vehicle_types.toml")["groups"]
+    return [{word: model for model, words in group.items() for word in words} for group in groups]

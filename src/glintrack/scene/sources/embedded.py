@@ -8,12 +8,12 @@ another size has streets drawn from its seed, a gently winding grid, and its own
 import tempfile
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 from shapely.geometry import Point, Polygon
 
+from glintrack.core.installation import data_file
 from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
 from glintrack.scene.objects.layout import Layout, area_with_margin, expand_extent
 from glintrack.scene.objects.surfaces import RoadNetwork, road_areas
@@ -48,9 +48,7 @@ def procedural_site(design: SceneDesign) -> Site:
 
 def load_shipped_recording() -> Recording:
     """Load the shipped street network and traffic."""
-    source = resources.files("glintrack") / "data" / "traffic" / "embedded.nc"
-    with resources.as_file(source) as path:
-        return read_recording(path)
+    return read_recording(data_file("traffic", "embedded.nc"))
 
 
 def _simulate(

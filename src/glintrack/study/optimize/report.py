@@ -84,7 +84,12 @@ def build_result(setup: Optimization, outcome: Outcome) -> OptimizationResult:
     labels = requirement_labels(setup)
     front = _front(setup, outcome)
     changes = _relaxations(setup, outcome, labels)
-    tables = [_requirements_table(setup, outcome, labels), _front_table(front)]
+    rows = tuple((one.design, f"{one.cost:.4g}", _share(one.probability)) for one in front)
+    title = "Pareto front of cost and of the probability to meet all requirements"
+    tables = [
+        _requirements_table(setup, outcome, labels),
+        TextTable(title, ("design", "cost", "probability"), rows, words=1),
+    ]
     if changes is not None:
         tables.append(changes)
     return OptimizationResult(
@@ -141,12 +146,9 @@ def describe_design(levels: Mapping[str, Level]) -> str:
 
 
 def _slider(axis: Axis, value: Level) -> SliderAxis:
-    span = axis.span
-    if span is None:
+    if axis.span is None:
         return SliderAxis(name=axis.name, labels=axis.labels, ordered=is_ordered(axis), value=value)
-    return SliderAxis(
-        name=axis.name, low=span.low, high=span.high, log=span.log, integer=span.integer, value=value
-    )
+    return SliderAxis(name=axis.name, value=value, **axis.span.model_dump())
 
 
 def _of_requirements(setup: Optimization, outcome: Outcome) -> Float[Array, "candidate requirement"]:
@@ -171,10 +173,8 @@ def _requirements_table(setup: Optimization, outcome: Outcome, labels: Sequence[
     probable = _of_requirements(setup, outcome)[outcome.design]
     for k, requirement in enumerate(setup.problem.requirements):
         middle, sd = outcome.processes[k].predict(place)
-        ends = (
-            inverse_transform(requirement, middle + side * sd * INTERVAL_DEVIATE)[0] for side in (-1, 0, 1)
-        )
-        low, value, high = ends
+        ends = np.array([-1, 0, 1]) * sd * INTERVAL_DEVIATE
+        low, value, high = inverse_transform(requirement, middle + ends)
         fresh, said = _confirmation(setup, outcome, k), "–"
         if fresh is not None:
             said = f"{fresh.value:.3g} ({fresh.low:.3g} to {fresh.high:.3g}), met: {fresh.answer}"
@@ -202,12 +202,6 @@ def _front(setup: Optimization, outcome: Outcome) -> list[FrontDesign]:
         )
         for k in front
     ]
-
-
-def _front_table(front: Sequence[FrontDesign]) -> TextTable:
-    rows = tuple((one.design, f"{one.cost:.4g}", _share(one.probability)) for one in front)
-    title = "Pareto front of cost and of the probability to meet all requirements"
-    return TextTable(title, ("design", "cost", "probability"), rows, words=1)
 
 
 def _relaxations(setup: Optimization, outcome: Outcome, labels: Sequence[str]) -> TextTable | None:

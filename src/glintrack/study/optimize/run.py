@@ -56,13 +56,8 @@ class StudyRunner:
             for design in designs
             for label, keys, _ in conditions
         ]
-        study = study_of(
-            setup.design,
-            duration_s,
-            design="list",
-            cases=tables,
-            replicates=[setup.design.city(city) for city in cities],
-        )
+        replicates = [setup.design.city(city) for city in cities]
+        study = study_of(setup.design, duration_s, design="list", cases=tables, replicates=replicates)
         plan = replace(build_plan(study, setup.base, setup.inside), key=setup.key)
         report = run_study(plan, self.folder, self.pool, self.cache, self.simulate, self.callback)
         if report.interrupted:
@@ -103,13 +98,9 @@ class StudyRunner:
             levels |= {CONDITION: label} if setup.design.conditions else {}
             for city, key in row.items():
                 points.append(Point(number * len(cities) + place[city], place[city], levels, key))
-        study = study_of(
-            setup.design,
-            setup.design.durations_s[-1],
-            design="list",
-            cases=[{"label": str(number)} for number in range(max(len(self.rows), 1))],
-            replicates=[setup.design.city(city) for city in cities],
-        )
+        cases = [{"label": str(number)} for number in range(max(len(self.rows), 1))]
+        replicates, duration_s = [setup.design.city(city) for city in cities], setup.design.durations_s[-1]
+        study = study_of(setup.design, duration_s, design="list", cases=cases, replicates=replicates)
         return Plan(study, (), tuple(points), dict(self.cases), setup.key)
 
 
