@@ -128,9 +128,8 @@ def solve_micromirror(
     netcdf.write_dataset(output, table)
     attrs = table.attrs
     console.print(
-        f"wrote {output}: piston {attrs['rigid_piston_m'] * 1e9:.1f} nm, "
-        f"tip {attrs['rigid_tip_deg']:.3f}°, tilt {attrs['rigid_tilt_deg']:.3f}°; "
-        f"{_describe_settling(made, table)}"
+        f"wrote {output}: piston {attrs['rigid_piston_m'] * 1e9:.1f} nm, tip {attrs['rigid_tip_deg']:.3f}°, "
+        f"tilt {attrs['rigid_tilt_deg']:.3f}°; {_describe_settling(made, table)}"
     )
     if "deflection" not in table:
         console.print(f"bow and heat are left out: {missing_extra('skfem', 'em', 'bend plates')}")
