@@ -12,16 +12,9 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.core.installation import data_file
+from glintrack.core.installation import data_file, read_data
 
-MIXTURES: Mapping[str, Mapping[str, float]] = {
-    # Volume fractions of WMO/TD-No. 24 (1986) as given in the 6S user guide (Vermote et al. 1997, part 2,
-    # "aerosol models"): continental, maritime, urban-industrial.
-    "clear": {"dust": 0.70, "water_soluble": 0.29, "soot": 0.01},
-    "maritime": {"water_soluble": 0.05, "oceanic": 0.95},
-    "urban": {"dust": 0.17, "water_soluble": 0.61, "soot": 0.22},
-    "cloud": {"water": 1.0},  # droplets of stratus
-}
+MIXTURES: Mapping[str, Mapping[str, float]] = read_data("atmosphere", "mixtures.toml")
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ import re
 import signal
 import sys
 import warnings
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Annotated
 
@@ -13,34 +14,13 @@ import typer.core
 from rich.console import Console
 
 from glintrack.cli.options import STYLE, open_console, option, print_readings
-from glintrack.core.installation import VERSION
+from glintrack.core.installation import VERSION, read_data
 from glintrack.core.numba_cache import set_cache_folder
 from glintrack.io.cache import cache_folder
 from glintrack.io.readings import collect_readings
 from glintrack.io.untrusted import plain
 
-# command -> the first sentence of its help, which `glintrack --help` shows without loading the command
-COMMANDS = {
-    "run": "Simulate a case: city, frames, tracks and scores; writes a result folder.",
-    "report": "Write one HTML page about a run or a study; it opens without a network.",
-    "view": "Show a result in the browser; images are sent as they are needed.",
-    "video": "Write the film of a simulation with its tracks as MP4 (extra `video`) or GIF.",
-    "study": "Simulate the cases of a study, `glintrack study FILE`, or report on a study.",
-    "optimize": "Search for the cheapest design that meets requirements, and confirm it over unseen cities.",
-    "dataset": "Build a labelled set of frames, `dataset CASE… -o DIR`, score detectors, label own frames.",
-    "case": "Make a case from a data sheet, check a case file, list cases, or print the keys.",
-    "track": "Track your own detections or frames.",
-    "bound": "Measure the loss budget of a case, without a tracker.",
-    "score": "Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more.",
-    "ortho": "Rectify your own image by collinearity with its pose, onto a DEM, in any CRS.",
-    "render": "Render one frame of a case as the lens receives it.",
-    "scene": "Build a city from your own data, preview it, export it.",
-    "atmosphere": "Solve the polarized sky and path radiance, and plot them.",
-    "polarimetry": "Measure polarization in raw mosaics of a camera: Stokes vectors, DoLP and AoP.",
-    "sensor": "Describe a sensor or a lens, or expose one frame with a sensor.",
-    "device": "Solve wire grids, etalons and micromirrors, and plot them.",
-    "warm-up": "Compile all kernels of a simulation, once after an installation.",
-}
+COMMANDS: Mapping[str, str] = read_data("commands.toml")
 _MODULES = {"view": "report", "video": "report", "warm-up": "run"}  # others have their own
 _UNIT = re.compile(r"\[([^\]:,]{1,8})[\],]")  # in the help of an option, such as [m]
 _INTERRUPTED = 130  # exit code that typer makes of Ctrl-C

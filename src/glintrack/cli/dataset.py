@@ -19,19 +19,13 @@ from glintrack.cli.options import (
     show_wait,
 )
 from glintrack.cli.track import stabilize_frames
+from glintrack.core.installation import read_data
 from glintrack.dataset import BASELINES, SCORES, build_dataset, plan_dataset, score_baselines
 from glintrack.io.atomic import check_new
 from glintrack.io.orthoimages import Geotransform, open_frames, read_frame_times
 from glintrack.report.label_page import write_label_page
 
-_HEADS = {
-    "completeness": "share\nof all",
-    "completeness_visible": "of\nvisible",
-    "purity": "\npurity",
-    "idf1": "\nIDF1",
-    "hota": "\nHOTA",
-    "false_per_frame": "false/\nframe",
-}
+_HEADS = read_data("page", "scores.toml")["detectors"]
 app = command_app(
     "Build a labelled set of frames, `dataset CASE… -o DIR`, score detectors, label own frames.",
     default="build",  # `dataset CASE`

@@ -31,6 +31,7 @@ from glintrack.cli.options import (
     open_console,
     option,
 )
+from glintrack.core.installation import read_data
 from glintrack.core.numba_cache import is_complete, mark_complete
 from glintrack.core.parallel import compilation
 from glintrack.core.units import format_duration
@@ -64,15 +65,7 @@ from glintrack.scene.read.sumo import sumo_home
 app, warm_up_app = command_app(), command_app()
 
 _STAGES = {"light": "tracing (waiting for it)", "callback": "loss budget, images"}
-_SCORES = {
-    "tracked_per_km2": "per km²",
-    "completeness": "moving",
-    "completeness_visible": "visible",
-    "custody": "custody",
-    "false_per_km2": "false/km²",
-    "purity": "purity",
-    "identity_switches": "switches",
-}
+_SCORES: Mapping[str, str] = read_data("page", "scores.toml")["printed"]
 
 
 def parse_changes(changes: list[str]) -> dict[str, object]:

@@ -9,25 +9,19 @@ import json
 import re
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 from pydantic_core import PydanticKnownError
 
+from glintrack.core.installation import read_data
 from glintrack.core.units import number_hint, unit_of
 
 Model = TypeVar("Model", bound=BaseModel)
 MAX_DEPTH = 64  # of nested tables, and of dotted keys
-# words of other programs for ours, with which a key begins
-_SYNONYMS = {
-    "alt": ("height", "altitude"), "altitude": ("height",), "elevation": ("height",), "z": ("height",),
-    "lat": ("latitude",), "lng": ("longitude",), "lon": ("longitude",), "yaw": ("heading",),
-    "x": ("east", "easting"), "y": ("north", "northing"), "east": ("easting",), "north": ("northing",),
-    "width": ("columns",), "height": ("rows", "altitude"), "f": ("focal",), "pixel": ("pitch",),
-    "fps": ("rate",), "haze": ("aerosol",), "duration": ("frames",),
-}  # fmt: skip
+_SYNONYMS: Mapping[str, Sequence[str]] = read_data("words.toml")["keys"]  # other programs' for ours
 _MISSPELT = 0.8  # similarity of two words, above which one is the other misspelt
 _REQUIREMENTS = {
     **dict.fromkeys(("model_type", "dict_type"), "a table"),

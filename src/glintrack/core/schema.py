@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
+from pydantic import TypeAdapter
 
 from glintrack.core.installation import read_data
 
@@ -36,16 +36,10 @@ class Variable:
     choices: tuple[str, ...] = ()
 
 
-def _variable(table: Mapping[str, Any]) -> Variable:
-    return Variable(**{key: tuple(of) if isinstance(of, list) else of for key, of in table.items()})
-
-
 _TABLES = read_data("schemas.toml")
 COORDINATE_UNITS: Mapping[str, str] = _TABLES["coordinates"]
-SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
-    schema: {name: _variable(one) for name, one in variables.items()}
-    for schema, variables in _TABLES["schemas"].items()
-}
+SCHEMAS: Mapping[str, Mapping[str, Variable]]
+SCHEMAS = TypeAdapter(dict[str, dict[str, Variable]]).validate_python(_TABLES["schemas"])
 
 
 def check(dataset: xr.Dataset, schema: str) -> xr.Dataset:

@@ -1,7 +1,7 @@
 """Plan of a data set: its cases, the split of each city, and its shards; the standard set."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
@@ -9,7 +9,7 @@ from itertools import product
 
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.core.installation import VERSION
+from glintrack.core.installation import VERSION, read_data
 from glintrack.io.atomic import content_hash
 from glintrack.io.toml import to_toml
 
@@ -20,18 +20,8 @@ STANDARD_FRAMES = 20
 _SLANT_RANGE_M = 3000.0
 _OFF_NADIR_DEG = (20.0, 35.0, 50.0)
 _HAZES = ("clear", "urban")
-_SUMO = "sumo:tools/game/"
 # the embedded city's five seeds share its streets and traffic: one city to `split_by_city`
-STANDARD_CITIES: dict[str, dict] = {
-    **{f"embedded-{seed}": {"city": "embedded", "seed": seed} for seed in range(1, 6)},
-    "braunschweig": {"city": "braunschweig"},
-    "berlin": {"city": "net", "net_file": f"{_SUMO}DRT/osm.net.xml"},
-    "wildau": {
-        "city": "net",
-        "net_file": f"{_SUMO}A10KW/osm.net.xml",
-        "polygons_file": f"{_SUMO}A10KW/osm.poly.xml",
-    },
-}
+STANDARD_CITIES: Mapping[str, dict] = read_data("cities.toml")["standard"]
 _BITS = 16  # of a raw's file
 
 

@@ -4,7 +4,7 @@ Columns carry their unit in the name.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
+from glintrack.core.installation import read_data
 from glintrack.io.orthoimages import Geotransform
 from glintrack.io.readings import report_reading
 from glintrack.io.tables import read_csv, read_numbers
@@ -30,13 +31,7 @@ MAX_SPEED_M_S = 1e6
 MAX_TIME_S = 1e11  # three thousand years, so that seconds since 1970 fit
 _MAX_TEXT = 200  # of columns in a message
 _WRONG_COLUMN = 0.2  # share of rows in which time decreases, above which it may be another column
-_OTHER_NAMES = {
-    "time_s": ("t", "time", "timestamp", "t_s", "seconds"),
-    "east_m": ("x", "east", "easting", "x_m", "easting_m"),
-    "north_m": ("y", "north", "northing", "y_m", "northing_m"),
-    "track_id": ("id", "track", "trackid"),
-    "vehicle_id": ("id", "vehicle", "object_id", "gt_id"),
-}  # of columns in files of other programs
+_OTHER_NAMES: Mapping[str, Sequence[str]] = read_data("words.toml")["columns"]  # in other programs
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Quality of one frame against its noiseless truth: image, sharpness, registration, polarization, spectra."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
@@ -9,26 +10,15 @@ from scipy.ndimage import gaussian_filter, minimum_filter
 
 from glintrack.camera import Camera, Pose, ground_points, project
 from glintrack.core.arrays import Array
-from glintrack.core.schema import RADIANCE, check
+from glintrack.core.installation import read_data
+from glintrack.core.schema import check
 from glintrack.stokes import aop, dolp
 
 _SSIM_SIGMA_PX = 1.5  # as in the original paper, with K = 0.01 and 0.03
 _SSIM_REACH = 3.5
 _SSIM_K = (0.01, 0.03)
 # scores of `frame_quality` and their units
-QUALITY_UNITS = {
-    "rmse": RADIANCE,
-    "psnr": "dB",
-    "ssim": "1",
-    "snr": "dB",
-    "mtf_quarter": "1",
-    "dolp_rmse": "1",
-    "aop_rmse": "rad",
-    "registration_error": "m",
-    "registration_error_px": "element",
-    "spectral_angle": "rad",
-    "spectral_rmse": RADIANCE,
-}
+QUALITY_UNITS: Mapping[str, str] = read_data("schemas.toml")["quality"]
 
 
 def frame_quality(

@@ -40,15 +40,7 @@ from glintrack.results.verdict import (
     view_facts,
 )
 
-_FIGURES = {
-    "sky": "Radiance, degree and angle of polarization of the sky, looking up: north is up, east on the left",
-    "light": "Sun, sky and path against wavelength",
-    "elements": "Response of the sensor's elements: lens, filter, quantum efficiency and polarizers",
-    "etalon": "The mirrors as tunable etalons: transmittance over the sweep of their gap",
-    "polarizer": "The wire-grid polarizers on the sensor, the paper's Figures 6 to 9",
-    "view_rgb": "Natural colour as the aircraft sees it",
-    "view_dolp": "Degree of linear polarization as the aircraft sees it, 0 to 0.5",
-}
+_FIGURES: Mapping[str, str] = read_data("page", "scores.toml")["figures"]
 _FIGURE_SIDE = 1100  # longest side of a figure on the page [pixel]
 _PLAN_SIDE = 640  # of the picture on the first screen [pixel]
 _DASH = "–"

@@ -5,19 +5,11 @@ from typing import NamedTuple
 
 from glintrack.case.design import Case
 from glintrack.case.quantities import ground_view
+from glintrack.core.installation import read_data
 from glintrack.io.toml import read_toml
 from glintrack.track.calibration import calibration_file
 
-LOSSES = {
-    "in_view": "vehicles outside the frame",
-    "visible": "occlusion by buildings and trees",
-    "ideal_observer": "sensor noise",
-    "known_background": "vehicles that stand close together",
-    "predicted_background": "background prediction from past frames (edges, parallax, mosaic)",
-    "reported_pose": "navigation errors",
-    "detector": "detection",
-    "tracker": "association and reporting",
-}
+LOSSES: Mapping[str, str] = read_data("page", "scores.toml")["losses"]  # a cause for each stage
 _MEMORY = ("predicted_background", "reported_pose", "detector")  # may be lower than the stages after them
 
 

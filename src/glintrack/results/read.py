@@ -14,6 +14,7 @@ import xarray as xr
 from PIL import Image
 
 from glintrack.case.design import Case
+from glintrack.core.installation import read_data
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import check_netcdf, read_bytes, read_json
 from glintrack.results.film import picture_name, validate_film
@@ -22,19 +23,7 @@ from glintrack.results.verdict import reservations, verdict
 _MAX_CASE_BYTES = 4_000_000
 _MAX_PICTURE_BYTES = 100_000_000
 _MARKS = ("case.toml", "provenance.toml", "result.nc")
-SCORE_LABELS: Mapping[str, str] = {
-    "tracked_per_km2": "tracked vehicles per km²",
-    "completeness": "completeness of all movers",
-    "completeness_visible": "completeness of visible vehicles",
-    "custody": "custody",
-    "false_per_km2": "false tracks per km²",
-    "purity": "track purity",
-    "median_time_to_loss_s": "median time to loss [s]",
-    "same_track_after_10s": "P(same id after 10 s)",
-    "idf1_moving": "IDF1 of moving vehicles",
-    "false_per_frame": "false tracks per frame",
-    "identity_switches": "identity switches",
-}
+SCORE_LABELS: Mapping[str, str] = read_data("page", "scores.toml")["run"]
 _SIDE = 640  # longest side of a card's picture [pixel]
 _DASH = "–"
 _CARD = """<div style="max-width:{{ side }}px"><strong>{{ result.name }}</strong>

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
-from glintrack.core.installation import data_file
+from glintrack.core.installation import data_file, read_data
 from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM
 from glintrack.core.units import unit_of
 from glintrack.io.spectra import read_spectra
@@ -26,14 +26,7 @@ DEFAULT_BAND_UM = (0.4, 1.0)
 _SPOT_UM, _FULL_WELL_E, _READ_NOISE_E, _EXPOSURE_MS = 12.0, 267e3, 20.0, 0.085
 MAX_EXPOSURE_MS = 1.0  # a car at 50 km/h moves 14 mm in it
 _AIRY_SIGMA = 0.42  # Gaussian closest to the Airy pattern, per λF: Zhang et al., Appl. Opt. 46, 1819 (2007)
-ORIGINS = {
-    "spot_sigma_um": "with diffraction at F/5.6 it blurs by 0.71 of the pitch (assumed). It stays at "
-    "other F-numbers, so that the fastest is the sharpest: diffraction grows with the F-number",
-    "full_well_e": "924 e per µm² of the pitch, as of the IMX250MZR (assumed)",
-    "read_noise_e": "1.18 e per µm of the pitch (assumed)",
-    "integration_time_ms": "white paint in AM1.5G sunlight about half fills the well; at most 1 ms, in which "
-    "a car at 50 km/h moves 14 mm",
-}
+ORIGINS: Mapping[str, str] = read_data("sensor_laws.toml")
 
 
 def derived_values(design: Design) -> dict[str, str]:

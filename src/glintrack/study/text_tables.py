@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from glintrack.bounds import STAGE_LABELS
+from glintrack.core.installation import read_data
 from glintrack.core.schema import CHANNEL_WORDS
 from glintrack.study.intervals import FEW_UNITS
 
@@ -18,43 +19,15 @@ MAX_P = 0.05  # of `p_max_t`, for an effect that is significant
 _ROUNDING = 1e-9
 _DASH = "–"
 
-RESPONSES = (
-    "tracked_per_km2",
-    "completeness",
-    "completeness_visible",
-    "custody",
-    "purity",
-    "identity_switches",
-    "false_per_km2",
-    "false_per_frame",
-    "stage_known_background",
-    "stage_predicted_background",
-    "stage_detector",
-)  # the headline first
-SHORT = {
-    "false_per_km2": "false/km²",
-    "completeness_visible": "of visible: tracker",
-    "stage_known_background": "of all: background known",
-    "stage_detector": "of all: detector",
-}
+_WORDS = read_data("page", "scores.toml")
+RESPONSES: tuple[str, ...] = tuple(_WORDS["responses"])  # the headline first
+SHORT: Mapping[str, str] = _WORDS["short"]
 RANKED_BY = ("tracked_per_km2", "completeness_visible", "custody")  # scores by which designs are ranked
 # scores shown with the headline
 _CONTEXT = ("false_per_km2", "completeness_visible", "stage_known_background", "stage_detector")
 _EXPLAINING = ("completeness_visible", "custody", "stage_known_background", "stage_predicted_background")
-NAMES = {
-    "tracked_per_km2": "tracked vehicles per km²",
-    "custody": "custody",
-    "false_per_km2": "false tracks per km²",
-    "completeness": "completeness, of all moving vehicles",
-    "completeness_visible": "completeness, of visible moving vehicles",
-    "purity": "track purity",
-    "identity_switches": "identity switches of a flight",
-    "false_per_frame": "false tracks per frame",
-    "data_rate_mbit_s": "data rate [Mbit/s]",
-    **{
-        f"stage_{stage}": f"loss budget, of all moving vehicles: {label}"
-        for stage, label in STAGE_LABELS.items()
-    },
+NAMES: Mapping[str, str] = _WORDS["study"] | {
+    f"stage_{stage}": f"loss budget, of all moving vehicles: {label}" for stage, label in STAGE_LABELS.items()
 }
 CHANNELS = {"pan": ("tab:gray", "o"), "dolp": ("tab:blue", "s"), "all": ("tab:green", "^")}
 

@@ -9,7 +9,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from importlib import import_module
@@ -24,25 +24,13 @@ from numpy.typing import ArrayLike
 
 from glintrack import stokes
 from glintrack.core import spectral
-from glintrack.core.installation import MissingExtraError, data_file, missing_extra
+from glintrack.core.installation import MissingExtraError, data_file, missing_extra, read_data
 from glintrack.devices.optical_constants import permittivity
 from glintrack.devices.wire_grid.design import PAPER_GRIDS, WireGridDesign
 from glintrack.io import cache
 
 ANGLES_DEG = tuple(range(0, 100, 10))  # ψ of the paper's Figure 6
-SOLVED = {
-    "pass_transmittance": "T(λ, 0°) of Eq. (7): power behind over the same with grid and plate removed",
-    "block_transmittance": "T(λ, 90°) of Eq. (7)",
-    "pass_reflectance": "share of the incident power reflected, E across the wires",
-    "block_reflectance": "share of the incident power reflected, E along the wires",
-    "pass_absorptance": "share of the incident power absorbed in the wires, E across them",
-    "block_absorptance": "share of the incident power absorbed in the wires, E along them",
-    "free_transmittance": "share of the incident power that crosses the space with grid and plate removed",
-    "field_ratio_real": "Re of the pass over the block amplitude of the wave that leaves straight on",
-    "field_ratio_imag": "Im of the same",
-    "coherence_real": "Re of the power of interference of both polarizations over the removed run's power",
-    "coherence_imag": "Im of the same",
-}
+SOLVED: Mapping[str, str] = read_data("devices", "wire_grid.toml")["outputs"]
 _FORMAT = 1  # of a cached row
 Task = tuple[float, complex]  # wavelength [µm] and permittivity of the wires [1]
 

@@ -32,13 +32,8 @@ from glintrack.scene.read.polygons import (
     height_of,
     unread_heights,
 )
-from glintrack.scene.read.sumo import NetLocation, call_sumo, read_sumo_net, read_xml, sumo_home
+from glintrack.scene.read.sumo import NETCONVERT, NetLocation, call_sumo, read_sumo_net, read_xml, sumo_home
 
-_NETCONVERT = (
-    *("--geometry.remove", "--ramps.guess", "--junctions.join", "--tls.guess-signals"),
-    *("--tls.discard-simple", "--tls.join", "--sidewalks.guess", "--crossings.guess"),
-    *("--junctions.corner-detail", "5"),
-)
 _KINDS = {"node": 0, "way": 1, "relation": 2}
 _OPEN, _INCOMPLETE = "rings that do not close", "parts of them are not in the file"
 _ROLES = {"outer": False, "inner": True}  # others by the rings around
@@ -91,7 +86,7 @@ def read_osm(
         folder = Path(scratch)
         (folder / "m.osm").write_bytes(content)
         netconvert = [str(home / "bin" / "netconvert"), "--osm-files", "m.osm", "-o", "m.net.xml"]
-        netconvert += ["--type-files", ",".join(map(str, typemaps)), *_NETCONVERT]
+        netconvert += ["--type-files", ",".join(map(str, typemaps)), *NETCONVERT["osm"]]
         call_sumo(home, folder, [*netconvert, *(["--lefthand"] if left_hand else [])])
         with collect_readings():  # a file of our own
             network, location = read_sumo_net(folder / "m.net.xml")

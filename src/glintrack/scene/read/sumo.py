@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
@@ -21,11 +21,13 @@ import defusedxml.ElementTree
 import numpy as np
 from defusedxml import DefusedXmlException
 from jaxtyping import Float
+from pydantic import TypeAdapter
 
 from glintrack.core.arrays import Array
-from glintrack.core.installation import MissingExtraError, missing_extra
+from glintrack.core.installation import MissingExtraError, missing_extra, read_data
 from glintrack.core.progress import step
-from glintrack.io.atomic import content_hash, write_bytes
+from glintrack.io import cache
+from glintrack.io.atomic import content_hash
 from glintrack.io.readings import collect_readings, report_reading
 from glintrack.io.untrusted import MAX_COORDINATE_M, read_bytes
 from glintrack.scene.objects.surfaces import Lane, LaneKind, RoadNetwork
@@ -219,13 +221,11 @@ def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
 
 
 _DEBIAN_PACKAGES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
-# Model, vClass and share in the traffic. The first mix is that of Braunschweig, after its published commands;
-# all other traffic, the shipped recording too, has the full one.
+# model, vClass and share in the traffic
 Mix = tuple[tuple[str, str, float], ...]
-FIRST_MIX: Mix = (
-    *(("car", "passenger", 0.62), ("hatch", "passenger", 0.18), ("van", "delivery", 0.10)),
-    *(("truck", "truck", 0.05), ("bus", "bus", 0.05)),
-)
+_DATA = read_data("traffic", "sumo.toml")
+FIRST_MIX, FULL_MIX = (TypeAdapter(Mix).validate_python(mix) for mix in _DATA["mixes"].values())
+NETCONVERT: Mapping[str, tuple[str, ...]] = {k: tuple(v.split()) for k, v in _DATA["netconvert"].items()}
 FULL_MIX: Mix = (
     *(("car", "passenger", 0.42), ("hatch", "passenger", 0.18), ("suv", "passenger", 0.17)),
     *(("van", "delivery", 0.10), ("truck", "truck", 0.05), ("bus", "bus", 0.04)),
@@ -297,22 +297,15 @@ def load_or_simulate(run: SumoRun) -> Recording:
     settings = {name: value for name, value in vars(run).items() if name != "inputs"}
     said = repr((FORMAT, version, vehicle_types_xml(run.mix), sorted(settings.items())))
     key = content_hash([*(path.read_bytes() for path in run.inputs), said], 24)
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "glintrack" / "traffic"
-    for path in sorted(folder.glob(f"{key}-*.nc")):
-        if path.stem.endswith(content_hash(path.read_bytes(), 16)):
-            return read_recording(path)
-        path.unlink(missing_ok=True)
+    folder = cache.cache_folder("traffic")
+    if path := cache.find(key, ".nc", folder):
+        return read_recording(path)
     with tempfile.TemporaryDirectory(prefix="glintrack-traffic-") as scratch:
         fresh = Path(scratch) / "recording.nc"
         attributes = {"title": "glintrack traffic cache", "source": "Eclipse SUMO"}
         with step("running SUMO"):
             write_recording(fresh, simulate_traffic(run), attributes)
-        content = fresh.read_bytes()
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            write_bytes(folder / f"{key}-{content_hash(content, 16)}.nc", content)
-        except OSError as error:  # of a read-only home
-            warnings.warn(f"traffic could not be cached in {folder}: {error}", stacklevel=2)
+        cache.store(key, ".nc", folder, fresh.read_bytes())
         return read_recording(fresh)  # rounded to millimetres, as in later runs
 
 

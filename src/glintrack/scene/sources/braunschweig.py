@@ -25,7 +25,7 @@ from glintrack.scene.design import SceneDesign
 from glintrack.scene.objects.geometry import polygons
 from glintrack.scene.objects.layout import MARGIN_M, Layout, area_with_margin, expand_extent
 from glintrack.scene.objects.surfaces import RoadNetwork, blocks, road_areas
-from glintrack.scene.read.sumo import SumoRun, load_or_simulate, sumo_home
+from glintrack.scene.read.sumo import NETCONVERT, SumoRun, load_or_simulate, sumo_home
 from glintrack.scene.sources.lots import buildings_by_rule, garden_trees, pavement_parking, yards
 from glintrack.scene.sources.site import VEHICLE_MARGIN_M, SceneOrigin, Site
 
@@ -38,12 +38,6 @@ _MODEL_TO_NETWORK = np.array([[0.97430, -0.02153, 661.007], [0.02077, 1.01144, 6
 _ROOF_MATERIAL = "Material - 20"  # the flat tops of the model's buildings
 _UNKNOWN_HEIGHT_M = 7.5
 _PERIOD_S = 0.6  # between two vehicles that enter
-_NETCONVERT = (
-    *("-n", "bsplain.nod.xml", "-e", "bsplain.edg.xml", "--ignore-errors.edge-type"),
-    *("--junctions.corner-detail", "5", "--no-turnarounds.except-deadend", "--keep-edges.components", "1"),
-    *("--junctions.join", "--tls.guess", "--tls.guess.threshold", "45", "--tls.default-type", "actuated"),
-    *("--sidewalks.guess", "--sidewalks.guess.max-speed", "20", "--crossings.guess"),
-)
 
 
 def braunschweig_site(design: SceneDesign) -> Site:
@@ -52,7 +46,7 @@ def braunschweig_site(design: SceneDesign) -> Site:
     west, south, east, north = expand_extent(design.extent_m, VEHICLE_MARGIN_M)
     run = SumoRun(
         inputs=(folder / "bsplain.nod.xml", folder / "bsplain.edg.xml"),
-        netconvert=_NETCONVERT,
+        netconvert=NETCONVERT["braunschweig"],
         extent_m=(CENTRE_M[0] + west, CENTRE_M[1] + south, CENTRE_M[0] + east, CENTRE_M[1] + north),
         origin_m=CENTRE_M,
         duration_s=design.traffic_duration_s,

@@ -11,24 +11,19 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 from shapely.geometry import Point, Polygon
 
-from glintrack.core.installation import data_file
+from glintrack.core.installation import data_file, read_data
 from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
 from glintrack.scene.objects.layout import Layout, area_with_margin, expand_extent
 from glintrack.scene.objects.surfaces import RoadNetwork, road_areas
-from glintrack.scene.read.sumo import FULL_MIX, SumoRun, load_or_simulate
+from glintrack.scene.read.sumo import FULL_MIX, NETCONVERT, SumoRun, load_or_simulate
 from glintrack.scene.sources.neighbourhood import Use, neighbourhood, use_by_size
 from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Site, read_traffic
 from glintrack.scene.traffic import Recording, read_recording
 
-# Points inside the blocks of the shipped plan that are not housing; see `SHIPPED_PLAN`. [m]
-_USES: tuple[tuple[Use, tuple[tuple[float, float], ...]], ...] = (
-    ("shopping", ((25, -65),)),
-    ("offices", ((195, -15),)),
-    ("park", ((-225, 135),)),
-    ("town", ((25, 88), (-100, -15), (-100, 88), (255, 88), (365, 88), (365, -15), (150, 88))),
-)
+_DATA = read_data("cities.toml")
 _SHIPPED_PERIOD_S, _SHIPPED_GRID_M2 = 0.44, 1060.0 * 790.0
 
 
@@ -68,7 +63,7 @@ def _simulate(
         return load_or_simulate(
             SumoRun(
                 inputs=paths,
-                netconvert=("-n", paths[0].name, "-e", paths[1].name, *NETCONVERT),
+                netconvert=("-n", paths[0].name, "-e", paths[1].name, *NETCONVERT["embedded"]),
                 extent_m=(*reach_m,),
                 origin_m=(0.0, 0.0),
                 duration_s=design.traffic_duration_s,
@@ -104,16 +99,10 @@ def fill_streets(
 
 
 def _use_by_plan(block: Polygon, rng: np.random.Generator) -> Use:
-    uses: list[Use] = [use for use, at in _USES if any(block.contains(Point(p)) for p in at)]
+    uses: list[Use] = [use for use, at in _DATA["uses"].items() if any(block.contains(Point(p)) for p in at)]
     return uses[0] if uses else "housing"
 
 
-NETCONVERT = (
-    *("--offset.disable-normalization", "--junctions.corner-detail", "5"),
-    *("--no-turnarounds.except-deadend", "--tls.default-type", "actuated"),
-    *("--sidewalks.guess", "--sidewalks.guess.max-speed", "20", "--crossings.guess"),
-    *("--default.lanewidth", "3.4", "--default.junctions.radius", "6"),
-)
 NETWORK_MARGIN_M = 200.0  # of streets beyond the window, where traffic comes from
 _PARKING_LANE = '<lane index="0" disallow="all" width="2.2"/>'
 
@@ -151,16 +140,7 @@ class StreetPlan:
         )
 
 
-# the pieces left out make room for a park, a shopping centre and offices
-SHIPPED_PLAN = StreetPlan(
-    columns=(-520, -395, -285, -165, -40, 90, 205, 310, 420, 540),
-    rows=(-400, -270, -165, -70, 40, 135, 230, 390),
-    arterial_columns=frozenset({4, 7}),
-    arterial_rows=frozenset({4}),
-    collector_columns=frozenset({2}),
-    collector_rows=frozenset({2, 6}),
-    left_out=frozenset({("h", 4, 3), ("v", 6, 3), ("h", 2, 5)}),
-)
+SHIPPED_PLAN = TypeAdapter(StreetPlan).validate_python(_DATA["shipped_plan"])
 
 
 def draw_plan(width_m: float, height_m: float, rng: np.random.Generator) -> StreetPlan:

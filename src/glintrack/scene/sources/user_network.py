@@ -5,6 +5,7 @@ unknown heights, roofs, gardens and trees, and the buildings themselves where a 
 """
 
 import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,6 +17,7 @@ from shapely.geometry import Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
+from glintrack.core.installation import read_data
 from glintrack.scene.design import SceneDesign
 from glintrack.scene.objects.geometry import cut_into_tiles, polygons
 from glintrack.scene.objects.layout import MARGIN_M, Layout, area_with_margin, expand_extent
@@ -57,14 +59,7 @@ _PASSAGE_M = 2.0  # of a lane's middle within a building, more than the error of
 _MOTORWAY_CLEARANCE_M = 40.0  # of houses from its edge: German Federal Trunk Road Act, section 9
 _NAMED_STREETS = 5
 _NEAR_DEG = 1.0  # of the town's position, within which a centre is taken for degrees
-_GROUND_MATERIAL = {
-    "water": ("water", -0.05),
-    "forest": ("grass", 0.04),
-    "parking": ("asphalt_worn", 0.03),
-    "soil": ("soil", 0.05),
-    "dry": ("grass_dry", 0.05),
-    "lawn": ("grass", 0.045),
-}
+_GROUND_MATERIAL: Mapping[str, tuple[str, float]] = read_data("cities.toml")["ground"]
 
 
 def network_site(design: SceneDesign) -> Site:
