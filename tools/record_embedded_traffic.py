@@ -14,8 +14,8 @@ import numpy as np
 from shapely.geometry import box
 
 from glintrack.scene.objects.surfaces import RoadNetwork
-from glintrack.scene.read.sumo import FULL_MIX, SumoRun, simulate_traffic
-from glintrack.scene.sources.embedded import NETCONVERT, SHIPPED_PLAN, plan_xml
+from glintrack.scene.read.sumo import FULL_MIX, NETCONVERT, SumoRun, simulate_traffic
+from glintrack.scene.sources.embedded import SHIPPED_PLAN, plan_xml
 from glintrack.scene.traffic import Recording, write_recording
 
 OUTPUT = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "traffic" / "embedded.nc"
@@ -40,7 +40,7 @@ def main() -> None:
             path.write_text(text, encoding="utf-8")
         run = SumoRun(
             inputs=paths,
-            netconvert=("-n", paths[0].name, "-e", paths[1].name, *NETCONVERT),
+            netconvert=("-n", paths[0].name, "-e", paths[1].name, *NETCONVERT["embedded"]),
             extent_m=(-half_east, -half_north, half_east, half_north),
             origin_m=(0.0, 0.0),
             warmup_s=300.0,

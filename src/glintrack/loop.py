@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from glintrack import metrics, track
+from glintrack import sensor as sensing
 from glintrack.camera import Pose
 from glintrack.case.build import Scenario, build_scenario
 from glintrack.case.design import Case
@@ -25,24 +26,6 @@ from glintrack.render import FrameCache, Hits, keep_frames
 from glintrack.results.collect import Loop, Stopwatch, collect, rows_of
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.scene import City
-from glintrack.sensor import (
-    Sensor,
-    fill_dark_mirrors,
-    frame_of,
-    image_motion,
-    light_on_elements,
-    measure_spectra,
-    mosaic_of,
-    navigate,
-    navigation_errors,
-    next_exposure_ms,
-    noiseless_frame,
-    noiseless_spectra,
-    read_out,
-    serve,
-    smear,
-    with_exposure,
-)
 
 ImageCallback = Callable[[str, int, xr.Dataset, City], None]
 
@@ -185,20 +168,20 @@ def _render(
 
 
 def _expose(
-    scenario: Scenario, rendered: RenderedFrame, sensor: Sensor, navigation_error: Array
+    scenario: Scenario, rendered: RenderedFrame, sensor: sensing.Sensor, navigation_error: Array
 ) -> TrueFrame:
     """Move the rendered light over the elements during the exposure, and report the pose with its error."""
     exposure_s = 1e-3 * sensor.design.integration_time_ms
-    motion = image_motion(sensor.camera, scenario.flight.pose, rendered.time_s, exposure_s)
-    light = smear(rendered.light, motion)(sensor.channels)
+    motion = sensing.image_motion(sensor.camera, scenario.flight.pose, rendered.time_s, exposure_s)
+    light = sensing.smear(rendered.light, motion)(sensor.channels)
     return TrueFrame(
         sensor=sensor,
         true_pose=rendered.pose,
-        reported_pose=navigate(rendered.pose, navigation_error),
+        reported_pose=sensing.navigate(rendered.pose, navigation_error),
         motion=motion,
         hits=rendered.hits,
         light=rendered.light,
-        planes=light_on_elements(light.values, sensor),
+        planes=sensing.light_on_elements(light.values, sensor),
         truth=rendered.truth,
         area=rendered.area,
     )
@@ -218,9 +201,9 @@ def _process_frame(
     index: int,
     rendered: RenderedFrame,
     navigation_error: Array,
-    sensor: Sensor,
+    sensor: sensing.Sensor,
     loops: Mapping[str, Loop],
-) -> tuple[dict[str, Loop], Sensor]:
+) -> tuple[dict[str, Loop], sensing.Sensor]:
     """Expose one frame, and advance the tracker of each channel by it.
 
     Returns
@@ -233,7 +216,9 @@ def _process_frame(
     clock.lap("shade")
     true_frame = _expose(run.scenario, rendered, sensor, navigation_error)
     pose, truth = true_frame.reported_pose, true_frame.truth
-    readout = read_out(true_frame.planes, sensor, frame_rngs(case.seed, index).noise)  # of all channels
+    readout = sensing.read_out(
+        true_frame.planes, sensor, frame_rngs(case.seed, index).noise
+    )  # of all channels
     answer = partial(_answer_queries, run.scenario, index, true_frame)
 
     def columns(enu: Array) -> Array:  # of superpixels that see points of the ground, −1 off the array
@@ -241,9 +226,11 @@ def _process_frame(
 
     def form_image(queries: tuple[SpectralQuery, ...]) -> _Image:
         served, spectra = answer(queries)  # by mirrors that are dark in pan
-        frame = fill_dark_mirrors(frame_of(readout, sensor, served, time_s), served, spectra, sensor)
+        frame = sensing.fill_dark_mirrors(
+            sensing.frame_of(readout, sensor, served, time_s), served, spectra, sensor
+        )
         clock.lap("sensor")
-        image, mosaic = run.rectify(frame, reported_pose=pose), mosaic_of(readout, sensor, served)
+        image, mosaic = run.rectify(frame, reported_pose=pose), sensing.mosaic_of(readout, sensor, served)
         clock.lap("rectify")
         return _Image(image, mosaic, served, spectra)
 
@@ -281,7 +268,7 @@ def _process_frame(
                 Epoch(index, time_s, channel, observer, true_frame, detections=state.detections, **outputs)
             )
             clock.lap("callback")
-    return advanced, with_exposure(sensor, next_exposure_ms(sensor, readout))
+    return advanced, sensing.with_exposure(sensor, sensing.next_exposure_ms(sensor, readout))
 
 
 def _answer_queries(
@@ -296,9 +283,11 @@ def _answer_queries(
     if queries:
         up_m = on_ground(terrain, np.array([[q.east_m, q.north_m] for q in queries]))[:, 2]
         queries = tuple(replace(q, up_m=float(u)) for q, u in zip(queries, up_m, strict=True))
-    served = serve(queries, sensor, true_frame.reported_pose)
+    served = sensing.serve(queries, sensor, true_frame.reported_pose)
     rng = frame_rngs(scenario.case.seed, index).spectra
-    return served, measure_spectra(served, smear(true_frame.light, true_frame.motion), sensor, rng)
+    return served, sensing.measure_spectra(
+        served, sensing.smear(true_frame.light, true_frame.motion), sensor, rng
+    )
 
 
 def _assess_quality(
@@ -306,8 +295,8 @@ def _assess_quality(
 ) -> dict[str, float]:
     """Compare a frame with the noiseless one at the true pose."""
     sensor, light, true_pose = true_frame.sensor, true_frame.light, true_frame.true_pose
-    truth = run.rectify(noiseless_frame(light, sensor), reported_pose=true_pose)
-    true_spectra = noiseless_spectra(served, light, sensor)
+    truth = run.rectify(sensing.noiseless_frame(light, sensor), reported_pose=true_pose)
+    true_spectra = sensing.noiseless_spectra(served, light, sensor)
     poses = true_pose, true_frame.reported_pose
     return metrics.frame_quality(image, truth, sensor.camera, *poses, spectra, true_spectra)
 
@@ -329,7 +318,7 @@ def frame_rngs(seed: int, frame: int) -> FrameRngs:
 def case_navigation_errors(case: Case, times_s: Array) -> Array:
     """Errors of the reported pose at each frame; see `sensor.navigation_errors`."""
     rngs = [frame_rngs(case.seed, k).navigation for k in range(len(times_s))]
-    return navigation_errors(case.navigation, times_s, rngs)
+    return sensing.navigation_errors(case.navigation, times_s, rngs)
 
 
 def true_frame_at(

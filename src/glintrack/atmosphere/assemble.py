@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.atmosphere import gas
+from glintrack.atmosphere import gas, solve
 from glintrack.atmosphere.aerosol import aerosol_optics, without_forward_peak
 from glintrack.atmosphere.design import (
     AEROSOL_TOP_M,
@@ -29,16 +29,6 @@ from glintrack.atmosphere.design import (
     GROUND_ALBEDO,
     SCALE_HEIGHT_M,
     AtmosphereDesign,
-)
-from glintrack.atmosphere.solve import (
-    MOMENTS,
-    Directions,
-    Fields,
-    GroundLight,
-    Medium,
-    Particles,
-    solve_fields,
-    solve_ground,
 )
 from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
 from glintrack.atmosphere.tables import write_tables
@@ -111,15 +101,15 @@ def assemble_tables(
     medium = build_medium(design, math.cos(sun_zenith))
     half_circle = np.radians(np.arange(0.0, 180.0 + AZIMUTH_STEP_DEG / 2, AZIMUTH_STEP_DEG))
     zeniths, altitudes = (np.radians(ZENITH_DEG), np.radians(VIEW_ZENITH_DEG)), np.array(design.altitudes_m)
-    directions = Directions(math.cos(sun_zenith), *zeniths, half_circle, altitudes)
+    directions = solve.Directions(math.cos(sun_zenith), *zeniths, half_circle, altitudes)
 
     def part(start: float, share: float) -> Callable[[float], None]:
         return lambda done: progress(start + share * done) if progress is not None else None
 
     clean = replace(medium, gas_absorption=np.zeros_like(medium.gas_absorption))
     streams = design.streams
-    fields = solve_fields(clean, directions, GROUND_ALBEDO, streams, threads, part(0.0, 0.6))
-    ground = solve_ground(clean, directions, streams, threads, part(0.6, 0.1))
+    fields = solve.solve_fields(clean, directions, GROUND_ALBEDO, streams, threads, part(0.0, 0.6))
+    ground = solve.solve_ground(clean, directions, streams, threads, part(0.6, 0.1))
     height, extinction = medium.height_m, fields.scattering_extinction
     through = _through(extinction, height, directions)
     path = fields.upward.copy()  # less the target's own light
@@ -145,7 +135,7 @@ def assemble_tables(
     return _dataset(design, d, sky, path_factors, spectra)
 
 
-def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
+def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> solve.Medium:
     """Optical properties by level and wavelength of a design; gases effective for the sun's slant path."""
     height, wavelength_um = np.array(gas.LEVELS_M, dtype=float), design.wavelength_um
     base, top = design.cloud_base_m, design.cloud_base_m + CLOUD_THICKNESS_M
@@ -160,7 +150,7 @@ def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
         depth = design.aerosol_optical_depth_550
         particles["aerosol"] = _particles(design.aerosol, depth, profile, height, wavelength_um)
     amounts = gas.gas_amounts(design.water_cm)
-    return Medium(
+    return solve.Medium(
         height_m=height,
         wavelength_um=wavelength_um,
         rayleigh=True,
@@ -171,10 +161,10 @@ def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
 
 def _particles(
     kind: str, depth_550: float, profile: Array, height_m: Array, wavelength_um: Array
-) -> Particles:
+) -> solve.Particles:
     """Particles of a vertical optical depth at 0.55 µm with some profile."""
-    optics = without_forward_peak(aerosol_optics(kind, wavelength_um), MOMENTS)
-    return Particles(
+    optics = without_forward_peak(aerosol_optics(kind, wavelength_um), solve.MOMENTS)
+    return solve.Particles(
         extinction=depth_550 * np.outer(gas.column_weights(profile, height_m), optics.extinction),
         albedo=optics.single_scattering_albedo,
         moments=optics.moments,
@@ -192,7 +182,12 @@ class _Light:
 
 
 def _light_with_gases(
-    fields: Fields, medium: Medium, d: Directions, design: AtmosphereDesign, threads: int, progress
+    fields: solve.Fields,
+    medium: solve.Medium,
+    d: solve.Directions,
+    design: AtmosphereDesign,
+    threads: int,
+    progress,
 ) -> _Light:
     """Light of a medium with gases: each band the sum of its terms."""
     amounts, height = gas.gas_amounts(design.water_cm), medium.height_m
@@ -208,7 +203,7 @@ def _light_with_gases(
         particles={name: kind.at(band) for name, kind in medium.particles.items()},
         gas_absorption=absorption.T,
     )
-    ground = solve_ground(terms, d, design.streams, threads, progress)
+    ground = solve.solve_ground(terms, d, design.streams, threads, progress)
     light = _light_of(ground, fields.scattering_extinction[:, band] + absorption.T, height, d)
     into = np.eye(len(found))[band].T * weights  # (band, term)
     on_ground = into * (light.diffuse + d.cos_sun_zenith * light.sun)
@@ -216,7 +211,7 @@ def _light_with_gases(
     return _Light(into @ light.sun, into @ light.diffuse, into @ light.path, returned)
 
 
-def _light_of(ground: GroundLight, extinction: Array, height_m: Array, d: Directions) -> _Light:
+def _light_of(ground: solve.GroundLight, extinction: Array, height_m: Array, d: solve.Directions) -> _Light:
     """Sun, sky and path of a medium of some extinction (level, wavelength)."""
     sun = np.exp(-gas.slant_weights(d.cos_sun_zenith, height_m) @ extinction)
     diffuse = np.maximum(ground.irradiance(GROUND_ALBEDO) - d.cos_sun_zenith * sun, 0.0)
@@ -228,7 +223,7 @@ def _light_of(ground: GroundLight, extinction: Array, height_m: Array, d: Direct
 
 
 def _through(
-    extinction: Array, height_m: Array, d: Directions
+    extinction: Array, height_m: Array, d: solve.Directions
 ) -> Float[Array, "wavelength altitude view_zenith"]:
     """Transmittance from the ground to each sensor."""
     slant = np.array(
@@ -252,7 +247,7 @@ def _full_circle(
 
 
 def _dataset(
-    design: AtmosphereDesign, d: Directions, sky: _Factors, path: _Factors, spectra: dict[str, Array]
+    design: AtmosphereDesign, d: solve.Directions, sky: _Factors, path: _Factors, spectra: dict[str, Array]
 ) -> xr.Dataset:
     """Dataset of the tables, with units and descriptions."""
     sun_zenith, sun_azimuth = sun_direction(design)

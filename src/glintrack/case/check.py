@@ -6,18 +6,9 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import Any, Literal, get_args
 
+from glintrack.case import quantities
 from glintrack.case.design import Case
 from glintrack.case.fitted_range import OPPOSITE, fitted_quantities
-from glintrack.case.quantities import (
-    CITY_SPEED_M_S,
-    cost_quantities,
-    light_quantities,
-    machine_memory_bytes,
-    motion_quantities,
-    optics_quantities,
-    view_quantities,
-    views,
-)
 from glintrack.core.units import format_duration, format_number
 from glintrack.io.toml import read_toml
 from glintrack.track.calibration import calibration_file
@@ -77,7 +68,7 @@ class Judgement:
 
 
 def assess_case(
-    case: Case, groups: Collection[Group] = GROUPS, fastest_m_s: float = CITY_SPEED_M_S
+    case: Case, groups: Collection[Group] = GROUPS, fastest_m_s: float = quantities.CITY_SPEED_M_S
 ) -> list[Judgement]:
     """Judge a case by its keys alone, without a simulation.
 
@@ -103,19 +94,19 @@ def assess_case(
         If a file that the sensor names cannot be read.
     """
     limits = {**_read_limits()}
-    optics = optics_quantities(case) if "sensor" in groups else {}
+    optics = quantities.optics_quantities(case) if "sensor" in groups else {}
     found: dict[str, list[Judgement]] = {}
-    for view, seen in views(case).items():
-        values = view_quantities(seen) if "view" in groups else {}
+    for view, seen in quantities.views(case).items():
+        values = quantities.view_quantities(seen) if "view" in groups else {}
         if "sensor" in groups:
-            values |= optics | light_quantities(seen)
+            values |= optics | quantities.light_quantities(seen)
         for name, of in fitted_quantities(seen).items() if "tracker" in groups else ():
             values[name] = of.value
             limits[name] = {**limits[name], "good": of.good, "fitted": of.fitted}
         for name, value in values.items():
             found.setdefault(name, []).append(_judge(name, limits[name], value, view))
-    others = motion_quantities(case, fastest_m_s) if "motion" in groups else {}
-    others |= cost_quantities(case) if "cost" in groups else {}
+    others = quantities.motion_quantities(case, fastest_m_s) if "motion" in groups else {}
+    others |= quantities.cost_quantities(case) if "cost" in groups else {}
     found |= {name: [_judge(name, limits[name], value)] for name, value in others.items()}
     judged = [_worst(found[name], limits[name]) for name in limits if name in found]
     if "jitter_rms_urad" not in case.flight.model_fields_set:
@@ -194,6 +185,6 @@ def _format(value: float, unit: str) -> str:
     if unit == "time":
         return format_duration(value)
     if unit == "memory":
-        return f"{format_number(1e-9 * value * (machine_memory_bytes() or 0))} GB"
+        return f"{format_number(1e-9 * value * (quantities.machine_memory_bytes() or 0))} GB"
     number = format_number(100 * value if unit == "%" else value)
     return f"{number}°" if unit == "°" else f"{number} {unit}".strip()

@@ -25,20 +25,7 @@ from glintrack.case.fitted_range import describe_array, describe_binning, descri
 from glintrack.case.niirs import describe_niirs
 from glintrack.case.packaged import find_case, list_cases, list_studies
 from glintrack.case.quantities import CITY_SPEED_M_S, describe_time, fastest_speed_m_s
-from glintrack.cli.options import (
-    EXIT_CODES,
-    CaseArgument,
-    FramesOption,
-    OutsidePathsOption,
-    argument,
-    check_output,
-    command_app,
-    limit_frames,
-    make_table,
-    open_console,
-    option,
-    show_wait,
-)
+from glintrack.cli import options as cli
 from glintrack.core.designs import Key, keys_of, suggest_name, tables_of
 from glintrack.flight import check_recorded, check_waypoints
 from glintrack.io.atomic import write_text
@@ -48,7 +35,7 @@ from glintrack.sensor.derivation import derived_values
 
 _FILE_WIDTH = 160  # of tables that go into a file [character]
 _TOP = "case"  # keys in no table
-app = command_app("Make a case from a data sheet, check a case file, list cases, or print the keys.")
+app = cli.command_app("Make a case from a data sheet, check a case file, list cases, or print the keys.")
 
 
 @app.command("list")
@@ -60,25 +47,25 @@ def show_cases() -> None:
 
 @app.command()
 def check(
-    case: CaseArgument,
-    frames: FramesOption = None,
-    as_json: Annotated[bool, option("Print the judgements as JSON", "--json")] = False,
-    allow_outside_paths: OutsidePathsOption = False,
+    case: cli.CaseArgument,
+    frames: cli.FramesOption = None,
+    as_json: Annotated[bool, cli.option("Print the judgements as JSON", "--json")] = False,
+    allow_outside_paths: cli.OutsidePathsOption = False,
 ) -> None:
     """Validate a case and the files it names, and judge its derived quantities: good, doubtful or bad.
 
     The exit code is 0 without a bad quantity, 1 with one, and 2 if the case is not valid.
     """
     path = find_case(case)
-    design = limit_frames(Case.from_toml(path, allow_outside_paths), frames)
+    design = cli.limit_frames(Case.from_toml(path, allow_outside_paths), frames)
     flight = design.flight
     build_sensor(design.sensor, design.atmosphere.wavelength_um)
     if flight.kind == "waypoints":
         check_waypoints(flight)
-    console = Console(stderr=True) if as_json else open_console()
+    console = Console(stderr=True) if as_json else cli.open_console()
     recording_duration_s, fastest_m_s = design.scene.recording_duration_s, CITY_SPEED_M_S
     if design.scene.uses_files or design.scene.panels or design.scene.city == "braunschweig":
-        with show_wait(console, "building the city"):
+        with cli.show_wait(console, "building the city"):
             city = build_scene(design.scene)
         check_place(design.atmosphere, city)
         recording_duration_s, fastest_m_s = city.duration_s, fastest_speed_m_s(city, flight)
@@ -106,7 +93,7 @@ def check(
         forced = ". `glintrack run` simulates it with --force only" if count["bad"] else ""
         console.print(f"conclusion: {worst}. {conclude(design, judgements, fastest_m_s)}{forced}.")
     if count["bad"]:
-        raise typer.Exit(EXIT_CODES["no"])
+        raise typer.Exit(cli.EXIT_CODES["no"])
 
 
 def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
@@ -115,7 +102,7 @@ def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
     if any(one.view for one in judgements):
         headings[1] = "value, frame"
     rows = [(one.label, f"{one.text} {one.view}".strip(), one.answer, one.good) for one in judgements]
-    console.print(make_table(None, headings, rows, left=4))
+    console.print(cli.make_table(None, headings, rows, left=4))
     for one in judgements:
         if one.reason:
             console.print(f"{one.answer}{f' ({one.view} frame)' if one.view else ''}: {one.reason}")
@@ -123,25 +110,27 @@ def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
 
 @app.command()
 def new(
-    file: Annotated[Path, argument("Case file to write, .toml; it must not exist")],
-    altitude: Annotated[float, option("Height of the lens above the ground [m]")],
-    rate: Annotated[float, option("Frame rate [Hz]", min=0.001, max=1000)],
-    pixels: Annotated[str | None, option("Size of the array", metavar="COLUMNSxROWS")] = None,
-    pitch: Annotated[float | None, option("Spacing of the elements [µm]")] = None,
-    focal_length: Annotated[float | None, option("Focal length [mm]")] = None,
-    f_number: Annotated[float | None, option("F-number [default: 5.6]")] = None,
-    off_nadir: Annotated[float, option("Angle of the line of sight from nadir [°]")] = 0.0,
+    file: Annotated[Path, cli.argument("Case file to write, .toml; it must not exist")],
+    altitude: Annotated[float, cli.option("Height of the lens above the ground [m]")],
+    rate: Annotated[float, cli.option("Frame rate [Hz]", min=0.001, max=1000)],
+    pixels: Annotated[str | None, cli.option("Size of the array", metavar="COLUMNSxROWS")] = None,
+    pitch: Annotated[float | None, cli.option("Spacing of the elements [µm]")] = None,
+    focal_length: Annotated[float | None, cli.option("Focal length [mm]")] = None,
+    f_number: Annotated[float | None, cli.option("F-number [default: 5.6]")] = None,
+    off_nadir: Annotated[float, cli.option("Angle of the line of sight from nadir [°]")] = 0.0,
     polarizers: Annotated[
-        Polarizers | None, option("Mosaic: four angles, or the paper's [default: none]")
+        Polarizers | None, cli.option("Mosaic: four angles, or the paper's [default: none]")
     ] = None,
-    sensor: Annotated[str, option("Array of `glintrack sensor list`, instead of --pixels and --pitch")] = "",
-    lens: Annotated[str, option("Lens of `glintrack sensor list`, instead of --focal-length")] = "",
+    sensor: Annotated[
+        str, cli.option("Array of `glintrack sensor list`, instead of --pixels and --pitch")
+    ] = "",
+    lens: Annotated[str, cli.option("Lens of `glintrack sensor list`, instead of --focal-length")] = "",
 ) -> None:
     """Write a case from the data sheet of a camera; what the sheet leaves out is derived and stated.
 
     glintrack case new mycam.toml --pixels 2048x2048 --pitch 3.45 --focal-length 100 --altitude 2000 --rate 5
     """
-    check_output(file, ".toml", option="file")
+    cli.check_output(file, ".toml", option="file")
     if file.exists():
         raise ValueError(f"`file` must not exist yet; got {file}. Choose another name.")
     size = re.fullmatch(r"(\d{1,6}) ?[x×X*] ?(\d{1,6})", pixels or "1x1")
@@ -168,9 +157,11 @@ def new(
 
 @app.command()
 def schema(
-    table: Annotated[str | None, argument("Table or key, as sensor.pitch_um [default: list tables]")] = None,
-    everything: Annotated[bool, option("Print every key of every table", "--all")] = False,
-    as_json: Annotated[bool, option("Print the JSON Schema instead of tables", "--json")] = False,
+    table: Annotated[
+        str | None, cli.argument("Table or key, as sensor.pitch_um [default: list tables]")
+    ] = None,
+    everything: Annotated[bool, cli.option("Print every key of every table", "--all")] = False,
+    as_json: Annotated[bool, cli.option("Print the JSON Schema instead of tables", "--json")] = False,
 ) -> None:
     """List the tables of a case, or print the keys of a table with unit, range, default and meaning."""
     if as_json:
@@ -184,7 +175,7 @@ def schema(
             (Text(f"[{name}]" if name else _TOP), Text(about.get(name, "")), str(len(keys)))
             for name, keys in tables.items()
         ]
-        console.print(make_table(None, ("table", "content", "keys"), rows, left=2))
+        console.print(cli.make_table(None, ("table", "content", "keys"), rows, left=2))
         console.print("glintrack case schema TABLE prints its keys, --all those of every table")
         return
     if table == _TOP:

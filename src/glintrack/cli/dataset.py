@@ -5,19 +5,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Annotated, Literal
 
-from glintrack.cli.options import (
-    Area,
-    Bar,
-    Corner,
-    OutsidePathsOption,
-    argument,
-    check_output,
-    command_app,
-    make_table,
-    open_console,
-    option,
-    show_wait,
-)
+from glintrack.cli import options as cli
 from glintrack.cli.track import stabilize_frames
 from glintrack.core.installation import read_data
 from glintrack.dataset import BASELINES, SCORES, build_dataset, plan_dataset, score_baselines
@@ -26,7 +14,7 @@ from glintrack.io.orthoimages import Geotransform, open_frames, read_frame_times
 from glintrack.report.label_page import write_label_page
 
 _HEADS = read_data("page", "scores.toml")["detectors"]
-app = command_app(
+app = cli.command_app(
     "Build a labelled set of frames, `dataset CASE… -o DIR`, score detectors, label own frames.",
     default="build",  # `dataset CASE`
 )
@@ -35,19 +23,24 @@ app = command_app(
 @app.command("build")
 def build(
     case: Annotated[
-        list[str], argument("Case files, packaged cases, 'standard' (extra `traffic`) or 'standard/*-clear'")
+        list[str],
+        cli.argument("Case files, packaged cases, 'standard' (extra `traffic`) or 'standard/*-clear'"),
     ],
-    output: Annotated[Path, option("Folder of the set: new, or of a stopped build", "-o", "--output")],
-    frames: Annotated[int | None, option("Frames of each case [default: its own; 20 in standard]")] = None,
-    shard_frames: Annotated[int, option("Frames of one file", "--shard-frames")] = 10,
-    dry_run: Annotated[bool, option("Print number of cases and size; simulate nothing", "--dry-run")] = False,
-    allow_outside_paths: OutsidePathsOption = False,
+    output: Annotated[Path, cli.option("Folder of the set: new, or of a stopped build", "-o", "--output")],
+    frames: Annotated[
+        int | None, cli.option("Frames of each case [default: its own; 20 in standard]")
+    ] = None,
+    shard_frames: Annotated[int, cli.option("Frames of one file", "--shard-frames")] = 10,
+    dry_run: Annotated[
+        bool, cli.option("Print number of cases and size; simulate nothing", "--dry-run")
+    ] = False,
+    allow_outside_paths: cli.OutsidePathsOption = False,
 ) -> None:
     """Simulate cases into a labelled set: raw frames, channels, radiance, poses, boxes, masks.
 
     Labels are written as COCO and MOTChallenge files. The same command continues a build that was stopped.
     """
-    plan, console = plan_dataset(case, frames, shard_frames, allow_outside_paths), open_console()
+    plan, console = plan_dataset(case, frames, shard_frames, allow_outside_paths), cli.open_console()
     splits = ", ".join(f"{count} {split}" for split, count in Counter(plan.split.values()).items())
     console.print(
         f"{len(plan.cases)} cases ({splits}), {plan.frames} frames, "
@@ -56,7 +49,7 @@ def build(
     if dry_run:
         return
     begun = time.perf_counter()
-    with Bar(console, transient=True) as bar:
+    with cli.Bar(console, transient=True) as bar:
         task = bar.add_task("simulating", total=plan.frames)
         made = build_dataset(
             plan,
@@ -73,26 +66,28 @@ def build(
 
 @app.command("label")
 def label(
-    frames: Annotated[Path, argument("Folder of frames, .nc or .zarr stack, or video, as for track")],
-    output: Annotated[Path, option("Page to write, .html", "-o", "--output")],
-    rate_hz: Annotated[float | None, option("Frame rate if frames have no times [Hz]", "--rate")] = None,
-    times: Annotated[Path | None, option("CSV file with time_s of each frame [s]", "--times")] = None,
-    geotransform: Annotated[Corner | None, option("West and north edge and pixel size of frames [m]")] = None,
-    area: Annotated[Area | None, option("West, south, east, north of the part to label [m]")] = None,
+    frames: Annotated[Path, cli.argument("Folder of frames, .nc or .zarr stack, or video, as for track")],
+    output: Annotated[Path, cli.option("Page to write, .html", "-o", "--output")],
+    rate_hz: Annotated[float | None, cli.option("Frame rate if frames have no times [Hz]", "--rate")] = None,
+    times: Annotated[Path | None, cli.option("CSV file with time_s of each frame [s]", "--times")] = None,
+    geotransform: Annotated[
+        cli.Corner | None, cli.option("West and north edge and pixel size of frames [m]")
+    ] = None,
+    area: Annotated[cli.Area | None, cli.option("West, south, east, north of the part to label [m]")] = None,
     uses_stabilization: Annotated[
-        bool, option("Stabilize frames of a moving camera first (extra `stabilize`)", "--stabilize")
+        bool, cli.option("Stabilize frames of a moving camera first (extra `stabilize`)", "--stabilize")
     ] = False,
 ) -> None:
     """Write a page on which you label the vehicles in your own frames; it makes a CSV file for score."""
-    check_output(output, ".html")
+    cli.check_output(output, ".html")
     check_new(output)
-    console = open_console()
+    console = cli.open_console()
     grid = None if geotransform is None else Geotransform(*geotransform)
     times_s = None if times is None else read_frame_times(times)
     source = open_frames(frames, rate_hz, grid, times_s)
     if uses_stabilization:
         source = stabilize_frames(console, frames, source, open_frames(frames, rate_hz, grid, times_s))
-    with show_wait(console, "writing frames"):
+    with cli.show_wait(console, "writing frames"):
         count = write_label_page(output, frames.name, source.frames, area)
     console.print(
         f"wrote {output}: {count} frames, {output.stat().st_size / 1e6:.3g} MB; open it in a browser"
@@ -101,20 +96,20 @@ def label(
 
 @app.command("baseline")
 def baseline(
-    dataset: Annotated[Path, argument("Folder that `glintrack dataset` wrote")],
-    split: Annotated[Literal["train", "val", "test"], option("Split to score on")] = "test",
-    allow_outside_paths: OutsidePathsOption = False,
+    dataset: Annotated[Path, cli.argument("Folder that `glintrack dataset` wrote")],
+    split: Annotated[Literal["train", "val", "test"], cli.option("Split to score on")] = "test",
+    allow_outside_paths: cli.OutsidePathsOption = False,
 ) -> None:
     """Score our detectors and classical ones with our tracker: means over a split."""
-    console = open_console()
-    with show_wait(console, "tracking"):
+    console = cli.open_console()
+    with cli.show_wait(console, "tracking"):
         found = score_baselines(dataset, split, BASELINES, allow_outside_paths)
     rows = []
     for line, scores in found.items():
         detector, _, channel = line.rpartition(", ")
         rows.append([detector, channel, *(f"{scores[name]:.3f}" for name in SCORES)])
     headings = ("\ndetector", "\nin", *(_HEADS[name] for name in SCORES))
-    table = make_table(f"baselines on {split}", headings, rows, left=2, box=None, padding=(0, 1, 0, 0))
+    table = cli.make_table(f"baselines on {split}", headings, rows, left=2, box=None, padding=(0, 1, 0, 0))
     for column in table.columns:
         column.no_wrap = True
     console.print(table)

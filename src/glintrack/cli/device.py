@@ -10,15 +10,9 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from glintrack.cli.options import Bar, argument, check_output, command_app, open_console, option
+from glintrack.core import spectral
 from glintrack.core.designs import validate_design
 from glintrack.core.installation import missing_extra
-from glintrack.core.spectral import (
-    MAX_WAVELENGTH_UM,
-    MIN_WAVELENGTH_UM,
-    STANDARD_STEP_UM,
-    check_wavelengths,
-    wavelength_grid,
-)
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, MicromirrorDesign, WireGridDesign, etalon, wire_grid
 from glintrack.devices import micromirror as mirror
 from glintrack.devices.micromirror.model3d import superpixel_glb
@@ -37,9 +31,9 @@ def solve_wiregrid(
     design: Annotated[str, argument(f"TOML file, or a grid of the paper: {', '.join(PAPER_GRIDS)}")],
     output: OutputOption,
     plot: PlotOption = False,
-    start_um: Annotated[float, option("Shortest wavelength [µm]")] = MIN_WAVELENGTH_UM,
-    stop_um: Annotated[float, option("Longest wavelength [µm]")] = MAX_WAVELENGTH_UM,
-    step_um: Annotated[float, option("Step of the wavelengths [µm]")] = STANDARD_STEP_UM,
+    start_um: Annotated[float, option("Shortest wavelength [µm]")] = spectral.MIN_WAVELENGTH_UM,
+    stop_um: Annotated[float, option("Longest wavelength [µm]")] = spectral.MAX_WAVELENGTH_UM,
+    step_um: Annotated[float, option("Step of the wavelengths [µm]")] = spectral.STANDARD_STEP_UM,
     field_um: Annotated[float, option("Wavelength of the field maps of --plot [µm]")] = 1.5,
 ) -> None:
     """Transmittances, field ratio and Mueller matrices of a wire-grid polarizer against wavelength in µm.
@@ -53,8 +47,8 @@ def solve_wiregrid(
     else:
         grid = validate_design(WireGridDesign, read_toml(path, "design"))
         grid = grid.model_copy(update={"metal": grid.metal.resolve_files(path.parent)})
-    um = wavelength_grid(start_um, stop_um, step_um)
-    check_wavelengths(field_um, "field_um")
+    um = spectral.wavelength_grid(start_um, stop_um, step_um)
+    spectral.check_wavelengths(field_um, "field_um")
     check_output(output)
     console = open_console()
     with Bar(console) as progress:

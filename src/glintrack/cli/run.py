@@ -17,20 +17,7 @@ from glintrack.case.check import assess_case
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
 from glintrack.case.quantities import describe_time
-from glintrack.cli.options import (
-    BAR_WIDTH,
-    Bar,
-    CaseArgument,
-    FramesOption,
-    OutsidePathsOption,
-    RequireOption,
-    check_answers,
-    command_app,
-    limit_frames,
-    make_table,
-    open_console,
-    option,
-)
+from glintrack.cli import options as cli
 from glintrack.core.installation import read_data
 from glintrack.core.numba_cache import is_complete, mark_complete
 from glintrack.core.parallel import compilation
@@ -62,7 +49,7 @@ from glintrack.results.verdict import (
 )
 from glintrack.scene.read.sumo import sumo_home
 
-app, warm_up_app = command_app(), command_app()
+app, warm_up_app = cli.command_app(), cli.command_app()
 
 _STAGES = {"light": "tracing (waiting for it)", "callback": "loss budget, images"}
 _SCORES: Mapping[str, str] = read_data("page", "scores.toml")["printed"]
@@ -81,20 +68,22 @@ def parse_changes(changes: list[str]) -> dict[str, object]:
 
 @app.command()
 def run(
-    case: CaseArgument = "quickstart",
-    output: Annotated[Path | None, option("New folder [default: result-NAME]", "-o", "--output")] = None,
-    frames: FramesOption = None,
+    case: cli.CaseArgument = "quickstart",
+    output: Annotated[Path | None, cli.option("New folder [default: result-NAME]", "-o", "--output")] = None,
+    frames: cli.FramesOption = None,
     changes: Annotated[
         list[str] | None,
-        option(
+        cli.option(
             "Change a key of the case; the value as in TOML: --set sensor.pitch_um=8.5; repeatable",
             "--set",
             metavar="KEY=VALUE",
         ),
     ] = None,
-    require: RequireOption = None,
-    force: Annotated[bool, option("Simulate a case with bad quantities too (glintrack case check)")] = False,
-    allow_outside_paths: OutsidePathsOption = False,
+    require: cli.RequireOption = None,
+    force: Annotated[
+        bool, cli.option("Simulate a case with bad quantities too (glintrack case check)")
+    ] = False,
+    allow_outside_paths: cli.OutsidePathsOption = False,
 ) -> None:
     """Simulate a case: city, frames, tracks and scores; writes a result folder.
 
@@ -103,7 +92,7 @@ def run(
     """
     requirements = [read_requirement(text) for text in require or []]
     design = Case.from_toml(find_case(case), allow_outside_paths, parse_changes(changes or []))
-    design = limit_frames(design, frames)
+    design = cli.limit_frames(design, frames)
     for one in requirements:
         one.check_channel(design.channels)
     judged = assess_case(design)
@@ -113,7 +102,7 @@ def run(
             "`glintrack case check` shows all quantities; --force simulates the case anyway."
         )
     check_new_folder(output or Path(f"result-{design.name}"))
-    console = open_console()
+    console = cli.open_console()
     for answer in ("bad", "doubtful"):
         if of := [f"{one.label} {one.text}" for one in judged if one.answer == answer]:
             console.print(f"{answer}: {', '.join(of)} (why: glintrack case check)")
@@ -127,12 +116,12 @@ def run(
     areas: dict[float, Area] = {}
     columns = (
         TextColumn("{task.description}"),
-        BarColumn(BAR_WIDTH),
+        BarColumn(cli.BAR_WIDTH),
         MofNCompleteColumn(),
         TextColumn("{task.fields[left]}"),
     )
     pace, last = FlightPace(design.flight.frames), design.channels[-1]
-    with Bar(console, *columns) as progress:
+    with cli.Bar(console, *columns) as progress:
         task = progress.add_task(design.name, total=design.flight.frames, left="")
 
         def show(epoch: Epoch) -> None:
@@ -160,7 +149,7 @@ def run(
     found = [(one, assess_tracks(tree, one, one.channel or best, areas)) for one in requirements]
     for requirement, assessment in found:
         console.print(describe_assessment(requirement, assessment))
-    check_answers(assessment.answer for _, assessment in found)
+    cli.check_answers(assessment.answer for _, assessment in found)
 
 
 def describe_progress(epoch: Epoch, case: Case) -> str:
@@ -212,7 +201,7 @@ def print_loss_budget(console: Console, tree: xr.DataTree) -> None:
     for stage in dict.fromkeys(stage for one in budgets.values() for stage in one):
         shares = (one.get(stage, math.nan) for one in budgets.values())
         rows.append([STAGE_LABELS.get(stage, stage), *("–" if v != v else f"{100 * v:.0f}" for v in shares)])
-    console.print(make_table(title, ["", *map(_heading, budgets)], rows, min_width=len(title)))
+    console.print(cli.make_table(title, ["", *map(_heading, budgets)], rows, min_width=len(title)))
     console.print(STAGES_NOTE)
     for group, line in accuracy_lines(tree).items():
         console.print(f"{CHANNEL_WORDS.get(group, group)}: {line}")
@@ -228,7 +217,7 @@ def print_scores(console: Console, tree: xr.DataTree) -> None:
     frames = len(scored_times(tree, next(name for name in LOOP_STYLES if name in tree.children)))
     of = f"{frames} of {tree.attrs['frames_done']} frames, after learning the background"
     title = f"scores of {of}: tracked vehicles per km², and tracked share of the moving and visible ones"
-    console.print(make_table(title, ["", *_SCORES.values()], rows))
+    console.print(cli.make_table(title, ["", *_SCORES.values()], rows))
 
 
 def _print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:
@@ -238,7 +227,7 @@ def _print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:
     ahead = {k.removesuffix("_ms_ahead"): v for k, v in attrs.items() if k.endswith("_ms_ahead")}
     rows = [(_STAGES.get(stage, stage), f"{ms:.1f}") for stage, ms in waited.items()]
     rows += [(f"  in a parallel thread: {stage}", f"{ms:.1f}") for stage, ms in ahead.items()]
-    console.print(make_table("wall time", ["stage", "ms per frame"], rows))
+    console.print(cli.make_table("wall time", ["stage", "ms per frame"], rows))
     frames_s = 1e-3 * int(attrs["frames_done"]) * sum(waited.values())
     build_s, compile_s = float(attrs["build_s"]), float(attrs["compile_s"])
     rest_s = max(total_s - build_s - compile_s - frames_s, 0)
@@ -252,15 +241,15 @@ def _print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:
 @warm_up_app.command()
 def warm_up() -> None:
     """Compile all kernels of a simulation, once after an installation."""
-    console = open_console()
+    console = cli.open_console()
     _show_warm_up(console)
     console.print(f"{compilation.kernels} kernels compiled in {compilation.seconds:.0f} s")
 
 
 def _show_warm_up(console: Console) -> None:
     """Compile all kernels with a progress bar, and note that they are compiled."""
-    columns = TextColumn("{task.description}"), BarColumn(BAR_WIDTH), TextColumn("{task.fields[left]}")
-    with Bar(console, *columns) as progress:
+    columns = TextColumn("{task.description}"), BarColumn(cli.BAR_WIDTH), TextColumn("{task.fields[left]}")
+    with cli.Bar(console, *columns) as progress:
         task = progress.add_task("compiling kernels, once after an installation", total=KERNELS, left="")
 
         def show(count: int) -> None:

@@ -9,16 +9,7 @@ from rich.console import Console
 
 from glintrack.atmosphere import AtmosphereDesign, is_solved, solve_tables
 from glintrack.case.design import Case, read_table
-from glintrack.cli.options import (
-    Bar,
-    argument,
-    check_output,
-    command_app,
-    make_table,
-    open_console,
-    option,
-    show_wait,
-)
+from glintrack.cli import options as cli
 from glintrack.core.designs import validate_design
 from glintrack.core.units import format_duration
 from glintrack.io import atomic, images
@@ -28,40 +19,44 @@ from glintrack.render.preview import preview
 from glintrack.results.figures.frame import azimuth_of, in_view, picture_figure
 from glintrack.scene import City, SceneDesign, build_scene, fcd_table, glb, record_traffic, write_recording
 
-app = command_app("Build a city from your own data, preview it, export it.")
+app = cli.command_app("Build a city from your own data, preview it, export it.")
 SceneArgument = Annotated[
-    str, argument("TOML file with a [scene] table, such as a case; or embedded, or braunschweig")
+    str, cli.argument("TOML file with a [scene] table, such as a case; or embedded, or braunschweig")
 ]
 
 
 @app.command()
 def build(
-    output: Annotated[Path, option("Case file to write", "-o", "--output")] = Path("scene.toml"),
-    osm: Annotated[Path | None, option("OpenStreetMap extract, .osm, .osm.gz or .osm.bz2")] = None,
-    sumo_net: Annotated[str | None, option("SUMO network, or sumo:PATH in the SUMO package")] = None,
-    polygons: Annotated[str | None, option("Polygons of SUMO's polyconvert")] = None,
-    mesh: Annotated[Path | None, option("Triangle mesh: .glb, .gltf, .obj, .ply or .stl")] = None,
-    materials: Annotated[Path | None, option("TOML file with materials and a [mesh] table")] = None,
-    dem: Annotated[Path | None, option("Raster of ground heights [m], with a CRS")] = None,
-    traffic: Annotated[Path | None, option("Floating-car data (.xml, .csv, .parquet) [m]")] = None,
-    seed: Annotated[int, option("Seed of everything random", min=0)] = 1,
-    width: Annotated[float | None, option("Window, west to east [m] [default: 660 or the mesh's]")] = None,
-    height: Annotated[float | None, option("Window, south to north [m] [default: 420 or the mesh's]")] = None,
+    output: Annotated[Path, cli.option("Case file to write", "-o", "--output")] = Path("scene.toml"),
+    osm: Annotated[Path | None, cli.option("OpenStreetMap extract, .osm, .osm.gz or .osm.bz2")] = None,
+    sumo_net: Annotated[str | None, cli.option("SUMO network, or sumo:PATH in the SUMO package")] = None,
+    polygons: Annotated[str | None, cli.option("Polygons of SUMO's polyconvert")] = None,
+    mesh: Annotated[Path | None, cli.option("Triangle mesh: .glb, .gltf, .obj, .ply or .stl")] = None,
+    materials: Annotated[Path | None, cli.option("TOML file with materials and a [mesh] table")] = None,
+    dem: Annotated[Path | None, cli.option("Raster of ground heights [m], with a CRS")] = None,
+    traffic: Annotated[Path | None, cli.option("Floating-car data (.xml, .csv, .parquet) [m]")] = None,
+    seed: Annotated[int, cli.option("Seed of everything random", min=0)] = 1,
+    width: Annotated[
+        float | None, cli.option("Window, west to east [m] [default: 660 or the mesh's]")
+    ] = None,
+    height: Annotated[
+        float | None, cli.option("Window, south to north [m] [default: 420 or the mesh's]")
+    ] = None,
     centre: Annotated[
-        tuple[float, float] | None, option("Centre of the window [m, m] [default: densest part]")
+        tuple[float, float] | None, cli.option("Centre of the window [m, m] [default: densest part]")
     ] = None,
-    crs: Annotated[str | None, option("Projected CRS of a mesh, such as EPSG:32632")] = None,
-    origin: Annotated[tuple[float, float] | None, option("Position of the mesh's origin [m, m]")] = None,
-    unit: Annotated[float | None, option("Length of one unit of the mesh [m]")] = None,
-    trees: Annotated[bool, option("Plant trees")] = True,
+    crs: Annotated[str | None, cli.option("Projected CRS of a mesh, such as EPSG:32632")] = None,
+    origin: Annotated[tuple[float, float] | None, cli.option("Position of the mesh's origin [m, m]")] = None,
+    unit: Annotated[float | None, cli.option("Length of one unit of the mesh [m]")] = None,
+    trees: Annotated[bool, cli.option("Plant trees")] = True,
     buildings: Annotated[
-        bool | None, option("Build houses by rule where a network has none [default: if it has no house]")
+        bool | None, cli.option("Build houses by rule where a network has none [default: if it has no house]")
     ] = None,
-    sky: Annotated[bool, option("Solve the sky over the city, which the first run needs")] = True,
+    sky: Annotated[bool, cli.option("Solve the sky over the city, which the first run needs")] = True,
 ) -> None:
     """Build a city from data, list the assumptions, write a case over it, and solve its sky."""
     atomic.check_new(output)
-    check_output(output)
+    cli.check_output(output)
     given = [name for name, value in (("osm", osm), ("net", sumo_net), ("mesh", mesh)) if value]
     if len(given) > 1:
         raise ValueError(
@@ -87,7 +82,7 @@ def build(
         "height_m": height,
     }
     design = validate_design(SceneDesign, {key: value for key, value in table.items() if value is not None})
-    console = open_console()
+    console = cli.open_console()
     city = _build(design, console)
     _describe(city, console)
     written = design.with_relative_files(output.parent)
@@ -110,16 +105,16 @@ def build(
 @app.command("preview")
 def show(
     scene: SceneArgument,
-    output: Annotated[Path, option("Picture to write, .png or .jpg", "-o", "--output")],
+    output: Annotated[Path, cli.option("Picture to write, .png or .jpg", "-o", "--output")],
     view: Annotated[
-        Literal["plan", "oblique", "street"], option("View from above, side or street")
+        Literal["plan", "oblique", "street"], cli.option("View from above, side or street")
     ] = "oblique",
-    width: Annotated[int, option("Width of the picture [pixel]", min=64, max=8000)] = 1600,
-    time_s: Annotated[float, option("Time of the traffic [s]", "--time", min=0, max=1e7)] = 30.0,
+    width: Annotated[int, cli.option("Width of the picture [pixel]", min=64, max=8000)] = 1600,
+    time_s: Annotated[float, cli.option("Time of the traffic [s]", "--time", min=0, max=1e7)] = 30.0,
 ) -> None:
     """Draw a scene in natural colour, with north, sun and, seen from above or the side, a scale bar."""
-    check_output(output, ".png", ".jpg", ".jpeg")
-    console = open_console()
+    cli.check_output(output, ".png", ".jpg", ".jpeg")
+    console = cli.open_console()
     city = _build(_design(scene), console)
     shown = preview(city, view, width, time_s)
     bearings = None
@@ -133,12 +128,12 @@ def show(
 @app.command()
 def export(
     scene: SceneArgument,
-    output: Annotated[Path, argument("glTF binary to write, .glb")],
-    time_s: Annotated[float, option("Time of the traffic [s]", "--time", min=0, max=1e7)] = 30.0,
+    output: Annotated[Path, cli.argument("glTF binary to write, .glb")],
+    time_s: Annotated[float, cli.option("Time of the traffic [s]", "--time", min=0, max=1e7)] = 30.0,
 ) -> None:
     """Write a scene at one time as glTF for any viewer: colours, no spectra."""
-    check_output(output, ".glb")
-    console = open_console()
+    cli.check_output(output, ".glb")
+    console = cli.open_console()
     city = _build(_design(scene), console)
     data = glb(city.at(min(time_s, city.duration_s)), city.materials)
     atomic.write_bytes(output, data)
@@ -147,22 +142,22 @@ def export(
 
 @app.command()
 def traffic(
-    output: Annotated[Path, option("Recording to write (.nc, .csv, .parquet)", "-o", "--output")],
+    output: Annotated[Path, cli.option("Recording to write (.nc, .csv, .parquet)", "-o", "--output")],
     scene: SceneArgument = "embedded",
-    fcd: Annotated[Path | None, option("Floating-car data to convert, without SUMO")] = None,
-    duration: Annotated[float | None, option("Duration that SUMO simulates [s]")] = None,
-    insertion_period: Annotated[float | None, option("Time between vehicles that enter [s]")] = None,
+    fcd: Annotated[Path | None, cli.option("Floating-car data to convert, without SUMO")] = None,
+    duration: Annotated[float | None, cli.option("Duration that SUMO simulates [s]")] = None,
+    insertion_period: Annotated[float | None, cli.option("Time between vehicles that enter [s]")] = None,
 ) -> None:
     """Record a scene's traffic with SUMO or from your own data, for its key `traffic_file`."""
-    check_output(output, ".nc", ".csv", ".parquet")
+    cli.check_output(output, ".nc", ".csv", ".parquet")
     given = {
         "traffic_file": str(resolve_path(fcd)) if fcd else None,
         "traffic_duration_s": duration,
         "traffic_insertion_period_s": insertion_period,
     }
     table = _design(scene).model_dump() | {k: v for k, v in given.items() if v is not None}
-    console = open_console()
-    with show_wait(console, "simulating traffic"):
+    console = cli.open_console()
+    with cli.show_wait(console, "simulating traffic"):
         recording = record_traffic(validate_design(SceneDesign, table))
     if recording.traffic.first.size == 0:
         raise ValueError("`traffic` must hold at least one vehicle in the scene's window; got none.")
@@ -199,7 +194,7 @@ def _solve_sky(design: AtmosphereDesign, console: Console) -> None:
         return
     started = time.perf_counter()
     try:
-        with Bar(console, transient=True) as bar:
+        with cli.Bar(console, transient=True) as bar:
             task = bar.add_task("solving the sky, once for a place and time of day", total=1.0)
             solve_tables(design, lambda done: bar.update(task, completed=done))
     except ValueError as error:
@@ -221,7 +216,7 @@ def _design(name: str) -> SceneDesign:
 
 def _build(design: SceneDesign, console: Console) -> City:
     started = time.perf_counter()
-    with show_wait(console, "building the city"):
+    with cli.show_wait(console, "building the city"):
         city = build_scene(design)
     console.print(f"built in {time.perf_counter() - started:.1f} s")
     return city
@@ -247,7 +242,7 @@ def _describe(city: City, console: Console) -> None:
         ("traffic", f"{city.duration_s:.0f} s"),
         ("ground", f"{height.min():z.1f} to {height.max():z.1f} m above the centre"),
     )
-    console.print(make_table("scene", (), rows))
+    console.print(cli.make_table("scene", (), rows))
     if city.assumptions:
         console.print("assumed, because the data do not say:")
         for sentence in city.assumptions:

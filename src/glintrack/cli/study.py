@@ -15,39 +15,12 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn
 from rich.table import Table
 
+from glintrack import study as studies
 from glintrack.case.packaged import find_case
-from glintrack.cli.options import (
-    BAR_WIDTH,
-    Bar,
-    OutsidePathsOption,
-    RequireOption,
-    argument,
-    check_answers,
-    command_app,
-    make_table,
-    open_console,
-    option,
-)
+from glintrack.cli import options as cli
 from glintrack.core.units import format_duration
 from glintrack.io.cache import cache_folder
 from glintrack.metrics.requirement import Requirement, read_requirement
-from glintrack.study import (
-    Plan,
-    Pool,
-    RunReport,
-    StudyEvent,
-    StudyFolder,
-    StudyPace,
-    dask,
-    forecast,
-    processes,
-    read_plan,
-    read_results,
-    run_study,
-    serial,
-    write_report,
-    write_results,
-)
 from glintrack.study.plan import design_notes, field_notes, length_notes
 from glintrack.study.report import check_points, view_notes
 from glintrack.study.text_tables import (
@@ -64,30 +37,30 @@ _MAX_TABLE_WIDTH = 200  # [character]
 _MAX_DESIGNS = 12  # that are printed; points.csv holds all
 _FEW_AXES = 3  # up to which each channel has a row
 
-SchedulerOption = Annotated[str | None, option("Dask scheduler tcp://HOST:PORT, or 'local'")]
-WorkersOption = Annotated[int | None, option("Processes on this machine [default: one per core]", min=1)]
-InProcessOption = Annotated[bool, option("Simulate in this process, one by one", "--serial")]
-MemoryOption = Annotated[float | None, option("Memory limit of a worker [GB]", min=0.5, max=_MAX_GB)]
-CacheOption = Annotated[Path | None, option("Folder for traced frames [default: user's cache]")]
+SchedulerOption = Annotated[str | None, cli.option("Dask scheduler tcp://HOST:PORT, or 'local'")]
+WorkersOption = Annotated[int | None, cli.option("Processes on this machine [default: one per core]", min=1)]
+InProcessOption = Annotated[bool, cli.option("Simulate in this process, one by one", "--serial")]
+MemoryOption = Annotated[float | None, cli.option("Memory limit of a worker [GB]", min=0.5, max=_MAX_GB)]
+CacheOption = Annotated[Path | None, cli.option("Folder for traced frames [default: user's cache]")]
 
-app = command_app(
+app = cli.command_app(
     "Simulate the cases of a study, `glintrack study FILE`, or report on a study.", default="run"
 )
 
 
 @app.command("run")
 def run(
-    study: Annotated[str, argument("Study file (TOML), or a packaged study (`glintrack case list`)")],
-    output: Annotated[Path | None, option("New folder [default: study-NAME]", "-o", "--output")] = None,
+    study: Annotated[str, cli.argument("Study file (TOML), or a packaged study (`glintrack case list`)")],
+    output: Annotated[Path | None, cli.option("New folder [default: study-NAME]", "-o", "--output")] = None,
     scheduler: SchedulerOption = None,
     workers: WorkersOption = None,
     in_process: InProcessOption = False,
     memory: MemoryOption = None,
     cache: CacheOption = None,
-    replicates: Annotated[int | None, option("Number of replicates [default: all]", min=1)] = None,
-    dry_run: Annotated[bool, option("Print time and disk space; simulate nothing", "--dry-run")] = False,
-    require: RequireOption = None,
-    allow_outside_paths: OutsidePathsOption = False,
+    replicates: Annotated[int | None, cli.option("Number of replicates [default: all]", min=1)] = None,
+    dry_run: Annotated[bool, cli.option("Print time and disk space; simulate nothing", "--dry-run")] = False,
+    require: cli.RequireOption = None,
+    allow_outside_paths: cli.OutsidePathsOption = False,
 ) -> None:
     """Simulate the unfinished cases of a study; writes a folder with results.parquet.
 
@@ -95,29 +68,29 @@ def run(
     """
     requirements = [read_requirement(text) for text in require or []]
     check_pool(scheduler, workers, in_process)
-    plan = read_plan(find_case(study, "study"), allow_outside_paths)
+    plan = studies.read_plan(find_case(study, "study"), allow_outside_paths)
     mine = plan if replicates is None else plan.first(replicates)
-    folder = StudyFolder(output or Path(f"study-{plan.design.name}"))
+    folder = studies.StudyFolder(output or Path(f"study-{plan.design.name}"))
     frame_cache = cache or cache_folder("hits")
-    console = open_console()
+    console = cli.open_console()
     for note in (*field_notes(plan), *length_notes(plan), *design_notes(plan)):
         console.print(note)
     if dry_run:
         folder.check(plan)
         if scheduler and scheduler != "local":
-            with dask(scheduler) as pool:
+            with studies.dask(scheduler) as pool:
                 slots = pool.slots
         else:
-            with serial() as pool:
+            with studies.serial() as pool:
                 slots = 1 if in_process else workers or pool.threads
         _print_plan(console, mine, folder, frame_cache, slots)
         return
     with open_pool(scheduler, workers, in_process, memory) as pool, folder.open(plan):
         report = _simulate(console, mine, folder, pool, frame_cache)
-        write_results(plan, folder)
+        studies.write_results(plan, folder)
     _conclude(console, mine, folder, frame_cache, report)
     if requirements:
-        _compare_with_requirements(console, read_results(folder.path), requirements)
+        _compare_with_requirements(console, studies.read_results(folder.path), requirements)
 
 
 def check_pool(scheduler: str | None, workers: int | None, in_process: bool) -> None:
@@ -128,23 +101,23 @@ def check_pool(scheduler: str | None, workers: int | None, in_process: bool) -> 
 
 def open_pool(
     scheduler: str | None, workers: int | None, in_process: bool, memory: float | None
-) -> AbstractContextManager[Pool]:
+) -> AbstractContextManager[studies.Pool]:
     """Open the executor that the options of a command name."""
     limit = None if memory is None else int(memory * 1e9)
     if scheduler:
-        return dask(scheduler, workers, limit)
-    return serial() if in_process else processes(workers, limit)
+        return studies.dask(scheduler, workers, limit)
+    return studies.serial() if in_process else studies.processes(workers, limit)
 
 
 @app.command("report")
 def report(
-    result: Annotated[Path, argument("Folder of a study's results.")], require: RequireOption = None
+    result: Annotated[Path, cli.argument("Folder of a study's results.")], require: cli.RequireOption = None
 ) -> None:
     """Effects with intervals, contrasts, ranks, Pareto front and more; writes tables and figures."""
     requirements = [read_requirement(text) for text in require or []]
-    results = read_results(result)
-    folder, tables = write_report(result, results)
-    console = open_console()
+    results = studies.read_results(result)
+    folder, tables = studies.write_report(result, results)
+    console = cli.open_console()
     shown = []
     if len(effects := importance(tables)):
         few = effects["axis"].nunique() <= _FEW_AXES
@@ -153,7 +126,7 @@ def report(
     if points is not None and points["point"].nunique() <= _MAX_DESIGNS:
         shown.append(points_table(points))
     for text in [*shown, *comparison_tables(tables)]:
-        _print_table(console, make_table(text.title, text.heads, text.rows, left=text.words))
+        _print_table(console, cli.make_table(text.title, text.heads, text.rows, left=text.words))
     if len(effects) and (narrow := narrow_intervals(*results)):
         console.print(narrow)
     for note in view_notes(tables.get("views", pd.DataFrame(columns=["axis"]))):
@@ -177,25 +150,27 @@ def _compare_with_requirements(
             interval = f"{one.low:.3g} to {one.high:.3g}" if math.isfinite(one.low) else "too short to say"
             rows.append([name, one.answer, f"{one.value:.3g}", interval, more])
         headings = ("design", "met", "found", "95 % interval", "more runs needed")
-        console.print(make_table(f"{requirement} ({channel})", headings, rows, left=len(headings)))
+        console.print(cli.make_table(f"{requirement} ({channel})", headings, rows, left=len(headings)))
         found += [one for _, one in points]
-    check_answers(one.answer for one in found)
+    cli.check_answers(one.answer for one in found)
 
 
-def _simulate(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, cache: Path) -> RunReport:
+def _simulate(
+    console: Console, plan: studies.Plan, folder: studies.StudyFolder, pool: studies.Pool, cache: Path
+) -> studies.RunReport:
     todo = [key for key in plan.cases if folder.outcome(key) is None]
     console.print(f"{plan.design.name}: {len(todo)} of {len(plan.cases)} cases to simulate with {pool.name}")
     if pool.link:
         console.print(f"dashboard: {pool.link}")
-    columns = (TextColumn("{task.description}"), BarColumn(BAR_WIDTH), TextColumn("{task.fields[left]}"))
-    pace = StudyPace(plan, folder, todo)
+    columns = (TextColumn("{task.description}"), BarColumn(cli.BAR_WIDTH), TextColumn("{task.fields[left]}"))
+    pace = studies.StudyPace(plan, folder, todo)
     if todo:
         console.print(f"estimated time: {_estimate_time(pace, pool.slots)}")
-    with Bar(console, *columns) as progress:
+    with cli.Bar(console, *columns) as progress:
         # the bar counts work: cases with more rays per element take longer
         task = progress.add_task(plan.design.name, total=pace.whole, left=pace.summary(pool.slots))
 
-        def callback(event: StudyEvent) -> None:
+        def callback(event: studies.StudyEvent) -> None:
             if event.kind in ("finished", "failed"):
                 pace.add(event.case_key, event.seconds if event.kind == "finished" else None)
             progress.update(task, completed=pace.done, left=pace.summary(pool.slots))
@@ -204,10 +179,12 @@ def _simulate(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, cac
                 about = f"case {event.case_key} {event.kind}" if event.case_key else event.kind
                 progress.console.print(f"{about}: {why}")
 
-        return run_study(plan, folder, pool, cache, callback=callback)
+        return studies.run_study(plan, folder, pool, cache, callback=callback)
 
 
-def _conclude(console: Console, plan: Plan, folder: StudyFolder, cache: Path, report: RunReport) -> None:
+def _conclude(
+    console: Console, plan: studies.Plan, folder: studies.StudyFolder, cache: Path, report: studies.RunReport
+) -> None:
     """Print frames, failures, cost and folder; exit unless all cases are finished."""
     done = sum(folder.outcome(key) is not None for key in plan.cases)
     if report.frames_read + report.frames_traced:
@@ -230,10 +207,12 @@ def _conclude(console: Console, plan: Plan, folder: StudyFolder, cache: Path, re
         raise typer.Exit(130 if report.interrupted else 1)
 
 
-def _print_plan(console: Console, plan: Plan, folder: StudyFolder, cache: Path, workers: int) -> None:
+def _print_plan(
+    console: Console, plan: studies.Plan, folder: studies.StudyFolder, cache: Path, workers: int
+) -> None:
     """Print number of cases and frames, time and disk space; estimated roughly until a case has finished."""
     todo = [key for key in plan.cases if folder.outcome(key) is None]
-    ahead, pace = forecast(plan, todo, cache), StudyPace(plan, folder, todo)
+    ahead, pace = studies.forecast(plan, todo, cache), studies.StudyPace(plan, folder, todo)
     every = {point.replicate for point in plan.points}
     mine = {point.replicate for point in plan.points if point.case_key in plan.cases}
     times = f" × {len(mine)} replicates" if len(mine) > 1 else ""
@@ -246,11 +225,11 @@ def _print_plan(console: Console, plan: Plan, folder: StudyFolder, cache: Path, 
         ("time", _estimate_time(pace, workers)),
         ("disk", f"{kept_mb:.0f} MB of traced frames in {cache}, {result_mb:.0f} MB of results"),
     )
-    console.print(make_table(None, (), rows))
+    console.print(cli.make_table(None, (), rows))
     console.print(f"dry run of {plan.design.name}: nothing written")
 
 
-def _estimate_time(pace: StudyPace, workers: int) -> str:
+def _estimate_time(pace: studies.StudyPace, workers: int) -> str:
     """State the time that a study still takes, and the source of the estimate."""
     source = "from finished cases" if pace.is_measured else "a rough estimate: no case has finished yet"
     return (

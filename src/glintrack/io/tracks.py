@@ -14,17 +14,8 @@ import pandas as pd
 import xarray as xr
 
 from glintrack.core.arrays import Array
+from glintrack.io import map_files
 from glintrack.io.atomic import write_bytes
-from glintrack.io.map_files import (
-    TrackGeoreference,
-    id_column,
-    lines_layer,
-    points_layer,
-    write_czml,
-    write_geojson,
-    write_geoparquet,
-    write_kml,
-)
 from glintrack.io.orthoimages import Geotransform, check_grid
 from glintrack.io.readings import report_reading
 from glintrack.io.tables import parquet_bytes
@@ -67,10 +58,12 @@ def _table(rows: xr.Dataset, columns: tuple[str, ...], optional: tuple[str, ...]
         rows = rows.assign(speed_m_s=("row", np.hypot(*speeds)))
     values = {name: rows[name].values for name in (*columns, *optional) if name in rows}
     table = pd.DataFrame(values if values else {name: np.empty(0) for name in columns})
-    return table.astype({id_column(table): np.int64})
+    return table.astype({map_files.id_column(table): np.int64})
 
 
-def write_tables(folder: Path, table: pd.DataFrame, stem: str, place: TrackGeoreference) -> list[str]:
+def write_tables(
+    folder: Path, table: pd.DataFrame, stem: str, place: map_files.TrackGeoreference
+) -> list[str]:
     """Write tracks or truth in every format of `WRITERS`.
 
     Parameters
@@ -176,24 +169,24 @@ def _agree(pixels: Array, places_m: Array) -> bool:
     return bool(gsd_m > _METRE_ERROR and apart_m <= _PIXEL_ERROR * gsd_m + _METRE_ERROR)
 
 
-def _csv(table: pd.DataFrame, place: TrackGeoreference) -> bytes:
+def _csv(table: pd.DataFrame, place: map_files.TrackGeoreference) -> bytes:
     times = table["time_s"].map("{:.15g}".format)  # of a clock that counts from 1970 too
     flags = {name: int for name in table.select_dtypes(bool)}
     return table.assign(time_s=times).astype(flags).to_csv(index=False, float_format="%.9g").encode()
 
 
-def _parquet(table: pd.DataFrame, place: TrackGeoreference) -> bytes:
+def _parquet(table: pd.DataFrame, place: map_files.TrackGeoreference) -> bytes:
     """Table in the coordinates of the CSV file, whose CRS and origin are metadata."""
     return parquet_bytes(table, {name: str(value) for name, value in place.attributes().items()})
 
 
-def _mot(table: pd.DataFrame, place: TrackGeoreference) -> bytes:
+def _mot(table: pd.DataFrame, place: map_files.TrackGeoreference) -> bytes:
     """MOTChallenge text: frames, ids and pixels count from 1.
 
     Tracks: frame, id, left, top, width, height [pixel], 1, east, north [m], 0. Truth within the frames: 1,
     class (3 a car or a larger vehicle, 5 a motorcycle) and visible fraction after the height.
     """
-    if id_column(table) == "track_id":
+    if map_files.id_column(table) == "track_id":
         frames, (x, y) = _frames(table, place), table[["east_m", "north_m"]].to_numpy(float).T
         sides = np.full(len(table), BOX_M)
         rows = zip(frames, table["track_id"], _boxes(x, y, sides, sides, place), x, y, strict=True)
@@ -218,36 +211,36 @@ def _mot(table: pd.DataFrame, place: TrackGeoreference) -> bytes:
 
 
 def _on_map(
-    layer: Callable[[pd.DataFrame, TrackGeoreference], Any],
-    write: Callable[[Any, TrackGeoreference], bytes],
+    layer: Callable[[pd.DataFrame, map_files.TrackGeoreference], Any],
+    write: Callable[[Any, map_files.TrackGeoreference], bytes],
     table: pd.DataFrame,
-    place: TrackGeoreference,
+    place: map_files.TrackGeoreference,
 ) -> bytes | None:
     return None if place.crs is None else write(layer(table, place), place)
 
 
-WRITERS: Mapping[str, Callable[[pd.DataFrame, TrackGeoreference], bytes | None]] = {
+WRITERS: Mapping[str, Callable[[pd.DataFrame, map_files.TrackGeoreference], bytes | None]] = {
     ".csv": _csv,
     ".parquet": _parquet,
     "_mot.txt": _mot,
-    "_points.geojson": partial(_on_map, points_layer, write_geojson),
-    "_lines.geojson": partial(_on_map, lines_layer, write_geojson),
-    "_points.parquet": partial(_on_map, points_layer, write_geoparquet),
-    "_lines.parquet": partial(_on_map, lines_layer, write_geoparquet),
-    "_points.kml": partial(_on_map, points_layer, write_kml),
-    "_lines.kml": partial(_on_map, lines_layer, write_kml),
-    ".czml": partial(_on_map, lambda table, place: table, write_czml),
+    "_points.geojson": partial(_on_map, map_files.points_layer, map_files.write_geojson),
+    "_lines.geojson": partial(_on_map, map_files.lines_layer, map_files.write_geojson),
+    "_points.parquet": partial(_on_map, map_files.points_layer, map_files.write_geoparquet),
+    "_lines.parquet": partial(_on_map, map_files.lines_layer, map_files.write_geoparquet),
+    "_points.kml": partial(_on_map, map_files.points_layer, map_files.write_kml),
+    "_lines.kml": partial(_on_map, map_files.lines_layer, map_files.write_kml),
+    ".czml": partial(_on_map, lambda table, place: table, map_files.write_czml),
 }
 
 
-def _frames(table: pd.DataFrame, place: TrackGeoreference) -> np.ndarray:
+def _frames(table: pd.DataFrame, place: map_files.TrackGeoreference) -> np.ndarray:
     """Frame number of each row, from 1."""
     times_s = table["time_s"].to_numpy(float)
     epochs = np.unique(place.times_s if len(place.times_s) else times_s)
     return np.searchsorted(epochs, times_s - 1e-9) + 1
 
 
-def _boxes(east, north, wide_m, high_m, place: TrackGeoreference) -> list[str]:
+def _boxes(east, north, wide_m, high_m, place: map_files.TrackGeoreference) -> list[str]:
     """Left, top, width and height of boxes around positions. [pixel]"""
     west, _, _, top = place.area_m
     left = (east - wide_m / 2 - west) / place.cell_m + 1

@@ -9,16 +9,8 @@ import xarray as xr
 
 from glintrack.camera import Camera
 from glintrack.core.records import Extent
-from glintrack.io import netcdf
+from glintrack.io import netcdf, orthoimages
 from glintrack.io.crs import metric_crs
-from glintrack.io.orthoimages import (
-    RASTERS,
-    FrameSource,
-    Geotransform,
-    image_of,
-    list_frames,
-    read_frame_time,
-)
 from glintrack.io.photographs import PlacedPose, read_camera, read_poses
 from glintrack.io.readings import collect_readings, report_reading
 from glintrack.io.times import check_rate, check_steps
@@ -41,7 +33,7 @@ def rectify_frames(
     area_m: tuple[float, float, float, float] | None = None,
     rate_hz: float | None = None,
     times_s: Sequence[float] | None = None,
-) -> FrameSource:
+) -> orthoimages.FrameSource:
     """Rectify all frames of a folder onto one grid; each is read when its turn comes.
 
     Parameters
@@ -70,7 +62,7 @@ def rectify_frames(
     """
     if not folder.is_dir():
         raise ValueError(f"`frames` must be a folder of images to be placed by their poses; got {folder}.")
-    files, others = list_frames(folder, (*RASTERS, (_OWN,)))
+    files, others = orthoimages.list_frames(folder, (*orthoimages.RASTERS, (_OWN,)))
     lens, placed = read_camera(camera), read_poses(poses, [file.name for file in files])
     own, levels = crs or placed[0].crs, ground_levels(ground)
     metric_crs(own)
@@ -87,14 +79,14 @@ def rectify_frames(
     report_reading(folder, "frames", len(files) + others, len(files), {f"not {files[0].suffix}": others})
 
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
-        corner = Geotransform(grid.x[0] - grid.gsd / 2, grid.y[0] + grid.gsd / 2, grid.gsd)
+        corner = orthoimages.Geotransform(grid.x[0] - grid.gsd / 2, grid.y[0] + grid.gsd / 2, grid.gsd)
         for time_s, file, one in zip(times, files, placed, strict=True):
             with _named(file), collect_readings():
                 found = rectify(file, lens, one, ground, crs=own, gsd=grid.gsd, area=area, method=METHOD)
             bands = dict(zip(found.names, np.moveaxis(found.bands, -1, 0), strict=True))
-            yield time_s, image_of(bands, corner)
+            yield time_s, orthoimages.image_of(bands, corner)
 
-    return FrameSource(len(files), own, files[0].suffix.lower() == _OWN, frames())
+    return orthoimages.FrameSource(len(files), own, files[0].suffix.lower() == _OWN, frames())
 
 
 @contextmanager
@@ -142,7 +134,11 @@ def _frame_times(
     found = list[float]()
     for file in files:
         is_own = file.suffix.lower() == _OWN
-        time_s = netcdf.read_dataset(file, "FRAME").attrs.get("time_s") if is_own else read_frame_time(file)
+        time_s = (
+            netcdf.read_dataset(file, "FRAME").attrs.get("time_s")
+            if is_own
+            else orthoimages.read_frame_time(file)
+        )
         if time_s is None:
             raise ValueError(f"`frames` must have a tag time_s or need --rate; got neither in {file}.")
         found.append(float(time_s))

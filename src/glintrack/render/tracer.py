@@ -18,18 +18,9 @@ from glintrack.render.light.heights import solid_heights
 from glintrack.render.light.lattice import AS_FACETS, BY_SIDES, IN_SPACE
 from glintrack.render.light.probes import SceneProbes
 from glintrack.render.light.sky import SUN_RADIUS_RAD
+from glintrack.render.rays import surfaces
 from glintrack.render.rays.bvh import BvhTracer
 from glintrack.render.rays.embree import EmbreeTracer
-from glintrack.render.rays.surfaces import (
-    NO_MODELS,
-    NO_TRANSFORMS,
-    FaceTable,
-    Past,
-    SurfaceHits,
-    Tracer,
-    box_corners,
-    resolve,
-)
 from glintrack.scene import Mesh, Snapshot
 
 _VEHICLE_M = (19.0, 4.0, 5.0)  # largest vehicle, along its own axes
@@ -62,8 +53,8 @@ class SceneTracer:
         Lock of the thread with the placed snapshot.
     """
 
-    rays: Tracer
-    faces: FaceTable
+    rays: surfaces.Tracer
+    faces: surfaces.FaceTable
     probes: SceneProbes
     sheets: Bool[Array, "material"]
     role: Int[Array, "model"]
@@ -139,7 +130,7 @@ def build_tracer(
     heights = partial(solid_heights, snapshot, sheets, window or (*west_south, *east_north))
     return SceneTracer(
         rays=intersector()(meshes[0], meshes[1:], snapshot.transforms[fixed], model, gaps),
-        faces=FaceTable.of(meshes),
+        faces=surfaces.FaceTable.of(meshes),
         probes=SceneProbes(box, window, shares, heights),
         sheets=sheets,
         role=role,
@@ -176,7 +167,7 @@ def standing_box(snapshot: Snapshot) -> tuple[Array, Array]:
     for k, mesh in enumerate(snapshot.models):
         transforms = np.asarray(snapshot.transforms)[: snapshot.fixed][snapshot.model[: snapshot.fixed] == k]
         if len(transforms) and len(mesh.vertices):
-            box = box_corners(mesh.vertices) @ transforms[:, :, :3].swapaxes(1, 2)
+            box = surfaces.box_corners(mesh.vertices) @ transforms[:, :, :3].swapaxes(1, 2)
             corners.append((box + transforms[:, None, :, 3]).reshape(-1, 3))
     every = np.concatenate(corners)
     if len(every) == 0:
@@ -226,15 +217,19 @@ class SunlitScene:
     snapshot: Snapshot
     surroundings: int
     sun: Array
-    past: Past = "all"
+    past: surfaces.Past = "all"
 
-    def meet(self, origins: Array, starts: Array, directions: Array, coherent: bool = False) -> SurfaceHits:
+    def meet(
+        self, origins: Array, starts: Array, directions: Array, coherent: bool = False
+    ) -> surfaces.SurfaceHits:
         """Find the surfaces that rays meet; ``starts`` are their origins in single precision."""
         met = self.tracer.rays.intersect(starts, directions, coherent, self.past)
         known = self.tracer.faces, self.snapshot, self.surroundings, self.sun, self.tracer.sheets
-        return resolve(origins, directions, met, *known)
+        return surfaces.resolve(origins, directions, met, *known)
 
-    def sunlight(self, seen: SurfaceHits, samples: int = 1, coherent: bool = False) -> Float[Array, "ray"]:
+    def sunlight(
+        self, seen: surfaces.SurfaceHits, samples: int = 1, coherent: bool = False
+    ) -> Float[Array, "ray"]:
         """Transmittance of the sun's light to each surface, by rays to points of its disc. [1]"""
         light = np.zeros(len(seen.sun_cosine), np.float32)
         # full packets are traced faster
@@ -292,7 +287,7 @@ def surface_model(
     height, down = np.empty((rows, columns)), np.tile(np.array([0, 0, -1], np.float32), (columns, 1))
     top = float(standing_box(snapshot)[1][2]) + _ABOVE_M
     with tracer.busy:
-        tracer.rays.update(NO_TRANSFORMS, NO_MODELS)
+        tracer.rays.update(surfaces.NO_TRANSFORMS, surfaces.NO_MODELS)
         for row, y_m in enumerate(y):
             origins = np.stack([x, np.full(columns, y_m), np.full(columns, top)], axis=1).astype(np.float32)
             reach = tracer.rays.intersect(origins, down).range_m

@@ -20,16 +20,8 @@ from glintrack.case.niirs import describe_niirs
 from glintrack.case.packaged import find_case, find_packaged_case
 from glintrack.core.installation import data_file, read_data
 from glintrack.report.page_data import budget_bars, page_data, plan
+from glintrack.results import read
 from glintrack.results.headline import headline
-from glintrack.results.read import (
-    SCORE_LABELS,
-    Result,
-    film_file,
-    picture_file,
-    picture_url,
-    score_rows,
-    score_text,
-)
 from glintrack.results.verdict import (
     CHANNEL_WORDS,
     accuracy_lines,
@@ -48,7 +40,7 @@ DEFAULTS = "the defaults"  # compared with cases of other names
 _MAX_CHANGES = 6  # on the first screen
 
 
-def build_page(result: Result, base: str | None = None, inline: bool = True) -> str:
+def build_page(result: read.Result, base: str | None = None, inline: bool = True) -> str:
     """Build the report of a run as HTML.
 
     Parameters
@@ -97,9 +89,9 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         pictures=script_json(_film_pictures(result) if inline else {}),
         policy_pictures="data:" if inline else "'self' data:",
         counts=_counts(result, data),
-        scores=score_rows({name: part["scores"] for name, part in data["channels"].items()}),
+        scores=read.score_rows({name: part["scores"] for name, part in data["channels"].items()}),
         terms=terms,
-        score_terms={SCORE_LABELS[key]: meaning for key, meaning in terms["scores"].items()},
+        score_terms={read.SCORE_LABELS[key]: meaning for key, meaning in terms["scores"].items()},
         stage_terms={STAGE_LABELS[key]: meaning for key, meaning in terms["stages"].items()},
         niirs=[] if result.case is None else _niirs(result.case),
         score_columns=[CHANNEL_WORDS.get(name, name) for name in data["channels"]],
@@ -108,7 +100,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         budget_columns=[CHANNEL_WORDS.get(name, name) for name in budgets],
         accuracy=[(CHANNEL_WORDS.get(g, g), line) for g, line in accuracy.items()],
         froc_rows=[
-            [CHANNEL_WORDS.get(name, name), *(f"{row[0]:g}", *map(score_text, row[1:]))]
+            [CHANNEL_WORDS.get(name, name), *(f"{row[0]:g}", *map(read.score_text, row[1:]))]
             for name, part in data["channels"].items()
             for row in (part["froc"] or {"table": []})["table"]
         ],
@@ -191,7 +183,10 @@ def budget_rows(budgets: Mapping[str, Mapping[str, float]]) -> list[tuple[str, l
     """Label of each stage, and the share of all movers there for each group of elements."""
     stages = dict.fromkeys(stage for one in budgets.values() for stage in one)
     return [
-        (STAGE_LABELS.get(stage, stage), [score_text(one.get(stage, math.nan)) for one in budgets.values()])
+        (
+            STAGE_LABELS.get(stage, stage),
+            [read.score_text(one.get(stage, math.nan)) for one in budgets.values()],
+        )
         for stage in stages
     ]
 
@@ -236,36 +231,36 @@ def _part(name: str) -> str:
     return data_file("page", name).read_text(encoding="utf-8")
 
 
-def _film_pictures(result: Result) -> dict[str, list[str]]:
+def _film_pictures(result: read.Result) -> dict[str, list[str]]:
     """Base64 of each kind's pictures in the order of frames; an empty text if missing."""
     film, out = result.film, {}
     for kind in film.get("kinds", []):
-        paths = [film_file(result.path, kind, frame) for frame in film["frames"]]
+        paths = [read.film_file(result.path, kind, frame) for frame in film["frames"]]
         out[kind] = ["" if p is None else base64.b64encode(p.read_bytes()).decode() for p in paths]
     return out
 
 
-def _plan_picture(result: Result, inline: bool) -> str:
+def _plan_picture(result: read.Result, inline: bool) -> str:
     """Address of the film's first kind, three quarters through; empty if it is missing."""
     frames, kinds, path = result.film.get("frames"), result.film.get("kinds"), None
     if frames and kinds:
-        path = film_file(result.path, kinds[0], frames[3 * (len(frames) - 1) // 4])
+        path = read.film_file(result.path, kinds[0], frames[3 * (len(frames) - 1) // 4])
     if path is None:
         return ""
-    return picture_url(path, _PLAN_SIDE) if inline else f"film/{path.name}"
+    return read.picture_url(path, _PLAN_SIDE) if inline else f"film/{path.name}"
 
 
-def _figures(result: Result, inline: bool) -> list[tuple[str, str, str]]:
+def _figures(result: read.Result, inline: bool) -> list[tuple[str, str, str]]:
     """Name, source and caption of each figure of the result."""
-    found = {name: picture_file(result.path, name) for name in _FIGURES}
+    found = {name: read.picture_file(result.path, name) for name in _FIGURES}
     return [
-        (name, picture_url(path, _FIGURE_SIDE) if inline else f"pictures/{name}.png", _FIGURES[name])
+        (name, read.picture_url(path, _FIGURE_SIDE) if inline else f"pictures/{name}.png", _FIGURES[name])
         for name, path in found.items()
         if path is not None
     ]
 
 
-def _counts(result: Result, data: dict) -> list[tuple[str, str, int]]:
+def _counts(result: read.Result, data: dict) -> list[tuple[str, str, int]]:
     """Id, label and number of frames, vehicles, tracks and queries."""
     rows = [("frames", "frames", len(data["times_s"]))]
     if data["truth"]:

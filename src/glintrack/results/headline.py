@@ -3,17 +3,9 @@
 import math
 from typing import NamedTuple
 
+from glintrack.results import verdict
 from glintrack.results.losses import LOSSES, find_remedy, largest_loss
 from glintrack.results.read import Result
-from glintrack.results.verdict import (
-    describe_frames,
-    describe_subject,
-    describe_undecided,
-    per_hundred,
-    scored_area,
-    select_channel,
-    stage_shares,
-)
 
 _MEANINGS = {"pan": "pan (intensity)", "dolp": "DoLP (degree of polarization)", "all": "all elements"}
 _NO_LOSS = "Nowhere: every stage keeps all vehicles."
@@ -40,26 +32,30 @@ class Headline(NamedTuple):
 
 def headline(result: Result) -> Headline | None:
     """Headline of a result; None if no vehicle was scored."""
-    name, tree = select_channel(result.scores), result.tree
+    name, tree = verdict.select_channel(result.scores), result.tree
     if name is None or tree is None:
         return None
-    attributes, where, budget = tree[name].attrs, scored_area(tree), stage_shares(tree).get(name, {})
+    attributes, where, budget = (
+        tree[name].attrs,
+        verdict.scored_area(tree),
+        verdict.stage_shares(tree).get(name, {}),
+    )
     movers, false = (float(attributes.get(k, math.nan)) for k in ("vehicles_per_frame", "false_per_frame"))
-    number, loss = per_hundred(result.scores[name]["completeness"]), largest_loss(budget)
-    tracked = f"{describe_subject(name)} {number}"
+    number, loss = verdict.per_hundred(result.scores[name]["completeness"]), largest_loss(budget)
+    tracked = f"{verdict.describe_subject(name)} {number}"
     if movers > 0 and math.isfinite(false):
-        tracked += f", with {per_hundred(false / movers)} false tracks per 100 vehicles"
+        tracked += f", with {verdict.per_hundred(false / movers)} false tracks per 100 vehicles"
     shares = [(k, float(of.get("completeness", math.nan))) for k, of in result.scores.items() if k != name]
-    others = [f"{_MEANINGS.get(k, k)} alone {per_hundred(n)}" for k, n in shares if math.isfinite(n)]
+    others = [f"{_MEANINGS.get(k, k)} alone {verdict.per_hundred(n)}" for k, n in shares if math.isfinite(n)]
     parts = [tracked, *([", ".join(others)] if others else [])]
     if loss is not None:
         remedy = find_remedy(loss.stage, result.case)
-        before, after = per_hundred(loss.before), per_hundred(loss.after)
+        before, after = verdict.per_hundred(loss.before), verdict.per_hundred(loss.after)
         lost = f"{LOSSES[loss.stage]}: {before} are left before this stage, {after} after it."
         advice = _NO_REMEDY if remedy is None else f"{remedy.advice}. {remedy.evidence}"
     else:
         lost, advice = (_NO_LOSS, _NO_REMEDY) if len(budget) > 1 else (_NO_BUDGET, _MEASURE)
-    count = describe_frames(int(attributes.get("frames", 0))) or "all frames"
+    count = verdict.describe_frames(int(attributes.get("frames", 0))) or "all frames"
     mean = f" ({movers:.0f} move there at a time)" if movers > 0 else ""
     return Headline(
         number=number,
@@ -69,6 +65,6 @@ def headline(result: Result) -> Headline | None:
         advice=advice[:1].upper() + advice[1:],
         denominator=f"All numbers of vehicles here are per 100 moving vehicles {where}{mean}, in the mean of "
         f"{count}.",
-        warning=describe_undecided(tree, name).strip(),
+        warning=verdict.describe_undecided(tree, name).strip(),
         stage="" if loss is None else loss.stage,
     )

@@ -18,18 +18,8 @@ from glintrack.core.schema import MOVING_SPEED_M_S
 from glintrack.io.gltf import Document
 from glintrack.scene.design import SceneDesign
 from glintrack.scene.materials import choose_paints, load_materials, load_user_materials, material_index
+from glintrack.scene.objects import layout as layouts
 from glintrack.scene.objects.geometry import PAINT, Mesh, MeshBuilder
-from glintrack.scene.objects.layout import (
-    MARGIN_M,
-    Instances,
-    Layout,
-    Panel,
-    add_panel,
-    body_to_enu,
-    build_mesh,
-    expand_extent,
-    place_instances,
-)
 from glintrack.scene.objects.plants import hedge_model, tree_models
 from glintrack.scene.objects.terrain import flat_terrain, is_level, read_dem, rolling_terrain, slope_at
 from glintrack.scene.sources.braunschweig import braunschweig_site
@@ -128,7 +118,7 @@ class City:
     longitude_deg: float
     traffic: Traffic
     paints: Int[Array, "vehicle"]
-    planted: Instances
+    planted: layouts.Instances
     origin_height_m: float = 0.0
     assumptions: tuple[str, ...] = ()
     lanes: tuple[Float[Array, "point 2"], ...] = ()
@@ -142,7 +132,9 @@ class City:
         return Snapshot(
             static=self.static,
             models=self.models,
-            transforms=np.concatenate([planted.transforms, body_to_enu(position, states[:, 2], slope)]),
+            transforms=np.concatenate(
+                [planted.transforms, layouts.body_to_enu(position, states[:, 2], slope)]
+            ),
             model=np.concatenate([planted.model, self.traffic.model[ids]]),
             paint=np.concatenate([planted.paint, self.paints[ids]]),
             vehicle_id=np.concatenate([np.full(len(planted), -1), ids]),
@@ -227,9 +219,9 @@ def build_scene(design: SceneDesign) -> City:
         builder = MeshBuilder(index)
         builder.add_mesh(site.mesh.mesh(mesh_materials, index), np.eye(3, 4), 0)
         for panel in panels:
-            add_panel(builder, panel, terrain)
+            layouts.add_panel(builder, panel, terrain)
         static = builder.mesh()
-        planted = Instances(np.zeros((0, 3, 4)), np.zeros(0, np.int64), np.zeros(0, np.int16))
+        planted = layouts.Instances(np.zeros((0, 3, 4)), np.zeros(0, np.int64), np.zeros(0, np.int16))
         said = ()
     else:
         layout, said = _plan_layout(site, design.trees, panels, layout_rng)
@@ -237,8 +229,8 @@ def build_scene(design: SceneDesign) -> City:
         parked = choose_paints(library, keys, design.seed)
         ground = None if is_level(terrain) else terrain
         tree_rng, building_rng = mesh_rng.spawn(2)  # so that a city without trees has the same buildings
-        static = build_mesh(layout, site.extent_m, index, building_rng, ground)
-        planted = place_instances(layout, parked, index, len(vehicles), tree_rng, ground)
+        static = layouts.build_mesh(layout, site.extent_m, index, building_rng, ground)
+        planted = layouts.place_instances(layout, parked, index, len(vehicles), tree_rng, ground)
     longitude, latitude = site.place.longitude_latitude_deg
     return City(
         static=static,
@@ -274,7 +266,7 @@ def record_traffic(design: SceneDesign) -> Recording:
 
 def _panels(
     design: SceneDesign, index: dict[str, int], extent_m: tuple[float, float, float, float]
-) -> tuple[Panel, ...]:
+) -> tuple[layouts.Panel, ...]:
     found = []
     for k, panel in enumerate(design.panels):
         if panel.material not in index:
@@ -291,13 +283,13 @@ def _panels(
                 f"`scene.panels.{k}` must lie in the window, east {west:g} to {east:g} m and north {south:g} "
                 f"to {north:g} m from its middle; got {panel.east_m:g} and {panel.north_m:g} m."
             )
-        found.append(Panel(panel.material, placed))
+        found.append(layouts.Panel(panel.material, placed))
     return tuple(found)
 
 
 def _terrain(design: SceneDesign, site: Site) -> tuple[xr.Dataset, float]:
     """Ground height under the window and its margin, and the height of its zero. [m]"""
-    bounds = expand_extent(site.extent_m, MARGIN_M)
+    bounds = layouts.expand_extent(site.extent_m, layouts.MARGIN_M)
     if design.dem_file:
         origin = site.place.easting_m, site.place.northing_m
         return read_dem(resolve_file(design.dem_file), bounds, site.place.crs, origin)
@@ -310,8 +302,8 @@ def _terrain(design: SceneDesign, site: Site) -> tuple[xr.Dataset, float]:
 
 
 def _plan_layout(
-    site: Site, share: float, panels: tuple[Panel, ...], rng: np.random.Generator
-) -> tuple[Layout, tuple[str, ...]]:
+    site: Site, share: float, panels: tuple[layouts.Panel, ...], rng: np.random.Generator
+) -> tuple[layouts.Layout, tuple[str, ...]]:
     """Plan the city with a share of its trees, at most `MAX_TREES`, and with nothing on the panels."""
     if site.layout is None:
         raise ValueError("`site` must have a layout or a mesh; got neither.")
@@ -337,7 +329,7 @@ def _plan_layout(
     return layout, said
 
 
-def _thin_out(layout: Layout, count: int, rng: np.random.Generator) -> Layout:
+def _thin_out(layout: layouts.Layout, count: int, rng: np.random.Generator) -> layouts.Layout:
     """Select a number of the trees evenly at random."""
     if count >= len(layout.trees):
         return layout

@@ -22,18 +22,8 @@ from glintrack.io.atomic import content_hash
 from glintrack.io.untrusted import is_file
 from glintrack.metrics.requirement import MIN_FRAMES, is_too_short
 from glintrack.sensor import SensorDesign
+from glintrack.study import design as designs
 from glintrack.study.comparisons import check_contrasts
-from glintrack.study.design import (
-    MAX_CASES,
-    Axis,
-    Constraints,
-    Level,
-    StudyDesign,
-    build_axes,
-    flat,
-    read_study,
-    unit_points,
-)
 
 FORMAT = 1  # of a study's folder, for older programs
 FIELD_KEYS = ("sensor.pitch_um", "sensor.focal_length_mm")  # of the field of view
@@ -51,7 +41,7 @@ class Point:
 
     index: int
     replicate: int
-    levels: Mapping[str, Level]
+    levels: Mapping[str, designs.Level]
     case_key: str
 
 
@@ -73,8 +63,8 @@ class Plan:
         Hash of the whole plan.
     """
 
-    design: StudyDesign
-    axes: tuple[Axis, ...]
+    design: designs.StudyDesign
+    axes: tuple[designs.Axis, ...]
     points: tuple[Point, ...]
     cases: Mapping[str, Case]
     key: str
@@ -96,7 +86,7 @@ def read_plan(path: str | Path, allow_outside_paths: bool = False) -> Plan:
         Whether the base case and the files of cases may be outside the study's folder, as for
         `Case.from_toml`.
     """
-    design = read_study(path)
+    design = designs.read_study(path)
     return build_plan(design, *find_base(Path(path), design.case, allow_outside_paths))
 
 
@@ -113,7 +103,7 @@ def find_base(path: Path, case: str, allow_outside_paths: bool) -> tuple[Path, S
     return base, inside
 
 
-def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = None) -> Plan:
+def build_plan(design: designs.StudyDesign, base: Path, inside: Sequence[Path] | None = None) -> Plan:
     """Build and validate every case of a study.
 
     Parameters
@@ -130,8 +120,8 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
     ValueError
         In one sentence: the axis, value or combination that is not a valid case, and the reason.
     """
-    axes = build_axes(design)
-    values = _with_keys({**read_case(base), "name": design.name}, flat(design.base), "base")
+    axes = designs.build_axes(design)
+    values = _with_keys({**read_case(base), "name": design.name}, designs.flat(design.base), "base")
     _check_constraints(design, axes)
     check_contrasts(design, axes)
     rules = _Rules(design.constraints, base.parent, inside)
@@ -145,14 +135,14 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
                 if "known key" in str(error) or not _depends_on_others(error):
                     raise ValueError(f"{error} This is value {label!r} of axis `{axis.name}`.") from error
     rows = _rows(design, axes)
-    if len(rows) * len(design.replicate_keys) > MAX_CASES:
-        raise ValueError(f"`axes` must make at most {MAX_CASES} cases; got {len(rows)} points.")
+    if len(rows) * len(design.replicate_keys) > designs.MAX_CASES:
+        raise ValueError(f"`axes` must make at most {designs.MAX_CASES} cases; got {len(rows)} points.")
     points, cases = [], {}
     for levels, keys in rows:
         for replicate, own in enumerate(design.replicate_keys):
             table = _with_keys(_with_keys(values, keys, "axes"), own, "replicates")
             try:
-                case = _build_case(table, rules, keys | flat(own))
+                case = _build_case(table, rules, keys | designs.flat(own))
             except ValueError as error:
                 where = ", ".join(f"{name} = {level}" for name, level in levels.items())
                 raise ValueError(f"{error} This is in the case with {where or own}.") from error
@@ -163,14 +153,16 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
     return Plan(design, axes, tuple(points), cases, content_hash(json.dumps(content, sort_keys=True), 20))
 
 
-def _rows(design: StudyDesign, axes: tuple[Axis, ...]) -> list[tuple[dict[str, Level], dict[str, Any]]]:
+def _rows(
+    design: designs.StudyDesign, axes: tuple[designs.Axis, ...]
+) -> list[tuple[dict[str, designs.Level], dict[str, Any]]]:
     """Labels and keys of each point."""
-    rows: list[tuple[dict[str, Level], dict[str, Any]]] = []
+    rows: list[tuple[dict[str, designs.Level], dict[str, Any]]] = []
     for index, table in enumerate(design.cases):
-        keys = flat(table)
+        keys = designs.flat(table)
         label = str(keys.pop("label", index))
         rows.append(({"label": label}, keys))
-    for places in unit_points(design, axes) if axes else ():
+    for places in designs.unit_points(design, axes) if axes else ():
         levels, keys = {}, {}
         for axis, place in zip(axes, places.tolist(), strict=True):
             levels[axis.name], own = axis.at(place)
@@ -186,7 +178,7 @@ def _depends_on_others(error: ValueError) -> bool:
     )
 
 
-def _check_constraints(design: StudyDesign, axes: tuple[Axis, ...]) -> None:
+def _check_constraints(design: designs.StudyDesign, axes: tuple[designs.Axis, ...]) -> None:
     limits = design.constraints
     constrained = {
         "flight.altitude_m": limits.slant_range_m is not None,
@@ -194,7 +186,7 @@ def _check_constraints(design: StudyDesign, axes: tuple[Axis, ...]) -> None:
         "flight.rate_hz": limits.at_max_frame_rate,
     }
     given = {key for axis in axes for _, keys in axis.ends for key in keys}
-    given |= {key for table in (*design.cases, *design.replicate_keys) for key in flat(table)}
+    given |= {key for table in (*design.cases, *design.replicate_keys) for key in designs.flat(table)}
     for key, is_set in constrained.items():
         if is_set and key in given:
             raise ValueError(
@@ -225,7 +217,7 @@ def _with_keys(values: dict[str, Any], keys: Mapping[str, Any], source: str) -> 
 class _Rules:
     """Constraints and folders of all cases of a study."""
 
-    limits: Constraints
+    limits: designs.Constraints
     folder: Path
     inside: Sequence[Path] | None = None
     element_rad: float | None = None

@@ -12,18 +12,7 @@ from matplotlib.figure import Figure
 
 from glintrack.io import atomic, images
 from glintrack.metrics.requirement import Assessment, Requirement, assess
-from glintrack.study.analysis import (
-    CHANCE,
-    ResponseSurface,
-    continuous_axes,
-    effects,
-    fit_scores,
-    froc,
-    pareto_front,
-    point_scores,
-    sobol_indices,
-    surrogates,
-)
+from glintrack.study import analysis
 from glintrack.study.comparisons import aa_test, all_contrasts, design_contrasts, rank_agreement
 from glintrack.study.design import flat
 from glintrack.study.folder import VIEW, read_results, select_finished_replicates
@@ -97,23 +86,23 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
     for channel in channels:
         for response in responses:
             named = (channel, response)
-            add("points", point_scores(table, axes, response, channel, _rng()), *named)
+            add("points", analysis.point_scores(table, axes, response, channel, _rng()), *named)
             for under in source["design"].get("ranked_under", ()) if response in RANKED_BY else ():
                 if table.loc[table["channel"] == channel, response].notna().any():
                     add("ranks", rank_agreement(table, axes, under, response, channel, _rng()), *named)
             if not varied:
                 continue
             found, rng = units(table, varied, response, channel), _rng()
-            add("effects", effects(found, rng), *named)
+            add("effects", analysis.effects(found, rng), *named)
             if 2 <= len(varied) <= _MAX_PAIRED_AXES and design != "one-at-a-time":
-                both = effects(found, rng, interactions=True)
+                both = analysis.effects(found, rng, interactions=True)
                 add("interactions", both[both["axis"].str.contains("×")], *named)
             if design in _SPREAD:
-                surfaces, check = surrogates(done, varied, response, channel, even_in_log)
+                surfaces, check = analysis.surrogates(done, varied, response, channel, even_in_log)
                 add("surrogate", surfaces, *named)
                 add("surrogate_check", check, *named)
             if design == "saltelli" and len(found.points) == points:
-                add("sobol", sobol_indices(found, axes, rng), *named)
+                add("sobol", analysis.sobol_indices(found, axes, rng), *named)
     tables = {name: pd.concat(parts, ignore_index=True) for name, parts in out.items()}
     tables["pareto"] = _pareto(done, axes, channels)
     contrasts = design_contrasts(source["design"], axes)
@@ -121,7 +110,7 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
     if responses:
         tests = aa_test(table, axes, responses[0], channels, _rng())
         tables["aa_test"] = tests.assign(response=responses[0])
-    tables |= {"views": views(table, varied), "froc": froc(table, axes)}
+    tables |= {"views": views(table, varied), "froc": analysis.froc(table, axes)}
     return {name: found for name, found in tables.items() if len(found)}
 
 
@@ -133,7 +122,7 @@ def log_axes(source: Mapping[str, Any]) -> list[str]:
 
 def response_surfaces(
     table: pd.DataFrame, source: Mapping[str, Any]
-) -> dict[tuple[str, str], ResponseSurface]:
+) -> dict[tuple[str, str], analysis.ResponseSurface]:
     """Response surfaces of a sampled study by score and channel; empty for another design."""
     if source["design"]["design"] not in _SPREAD:
         return {}
@@ -142,7 +131,7 @@ def response_surfaces(
     pairs = [
         (name, ch) for name in RESPONSES if name in done for ch in CHANNELS if ch in set(done["channel"])
     ]
-    fits = {pair: fit_scores(done, varied, *pair, log_axes(source)) for pair in pairs}
+    fits = {pair: analysis.fit_scores(done, varied, *pair, log_axes(source)) for pair in pairs}
     return {pair: surface for pair, surface in fits.items() if surface is not None}
 
 
@@ -172,7 +161,7 @@ def check_points(
     requirement.check_channel([str(name) for name in dict.fromkeys(done["channel"])])
     means = done.groupby("channel", sort=False)["completeness"].mean()
     channel = requirement.channel or str(means.idxmax())
-    found = point_scores(table, list(source["axes"]), requirement.score, channel, _rng())
+    found = analysis.point_scores(table, list(source["axes"]), requirement.score, channel, _rng())
     flights = len(set(done["replicate"]))
     return channel, [
         (row["point"], assess(requirement, row["score"], row["low"], row["high"], flights))
@@ -189,7 +178,7 @@ def _pareto(done: pd.DataFrame, axes: Sequence[str], channels: Sequence[str]) ->
         for channel in channels:
             mine = means["channel"] == channel
             part = means[mine]
-            front[mine] = pareto_front(part["data_rate_mbit_s"].to_numpy(), part[gain].to_numpy())
+            front[mine] = analysis.pareto_front(part["data_rate_mbit_s"].to_numpy(), part[gain].to_numpy())
         means[f"{gain}_front"] = front
     return means
 
@@ -199,10 +188,10 @@ def views(table: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
 
     Where every flight differs in all axes, as in a sampled design, those correlated with the view.
     """
-    parts, sampled = [], set(continuous_axes(table[list(varied)]))
+    parts, sampled = [], set(analysis.continuous_axes(table[list(varied)]))
     for axis in varied if set(VIEW) <= set(table) else ():
         ranks = table[[axis, *VIEW]].rank().corr().loc[axis, list(VIEW)].abs()
-        if axis in CHANCE or (axis in sampled and not ranks.max() >= _MIN_RANK_CORRELATION):
+        if axis in analysis.CHANCE or (axis in sampled and not ranks.max() >= _MIN_RANK_CORRELATION):
             continue
         # the others at their first values, else one axis passes for another's in a one-at-a-time design
         others = [other for other in varied if other != axis]

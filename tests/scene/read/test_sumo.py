@@ -68,7 +68,7 @@ def test_damaged_cache_is_rebuilt(run, simulated, tmp_path, damage):
 
 def test_unwritable_cache_costs_only_the_cache(run, simulated, tmp_path):
     (tmp_path / "cache").write_text("a file where the folder should be")
-    with pytest.warns(UserWarning, match="could not be cached"):
+    with pytest.warns(UserWarning, match="cannot be written"):
         assert load_or_simulate(run).traffic.steps == 2
 
 

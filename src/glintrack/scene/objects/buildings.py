@@ -10,19 +10,7 @@ import shapely
 from shapely.geometry import Polygon
 
 from glintrack.core.arrays import Array
-from glintrack.scene.objects.geometry import (
-    MeshBuilder,
-    Patch,
-    bounding_rectangle,
-    box_patch,
-    gable_or_hip_roof,
-    join,
-    mansard_roof,
-    outline,
-    parapet_roof,
-    upright,
-    walls,
-)
+from glintrack.scene.objects import geometry
 
 _PANE_OFFSET_M = 0.03  # of panes before the wall, so that rays meet them first
 
@@ -62,7 +50,7 @@ class Building:
 
 
 def add_building(
-    builder: MeshBuilder, building: Building, rng: np.random.Generator, foot_m: float = -0.1
+    builder: geometry.MeshBuilder, building: Building, rng: np.random.Generator, foot_m: float = -0.1
 ) -> None:
     """Build walls, panes and roof.
 
@@ -77,37 +65,39 @@ def add_building(
     foot_m
         Height of the walls' lower edge relative to the floor. [m]
     """
-    footprint = outline(building.footprint, tolerance_m=0.05)
+    footprint = geometry.outline(building.footprint, tolerance_m=0.05)
     parapet_m = 0.5 if building.roof == "flat" else 0.0
-    builder.add(building.wall, walls(footprint, foot_m, building.eaves_m + parapet_m))
+    builder.add(building.wall, geometry.walls(footprint, foot_m, building.eaves_m + parapet_m))
     builder.add("glass", _panes(footprint, building))
     match building.roof:
         case "gable" | "hip":
             hip = building.roof == "hip"
-            planes, rest = gable_or_hip_roof(footprint, building.eaves_m, building.slope_rad, hip)
+            planes, rest = geometry.gable_or_hip_roof(footprint, building.eaves_m, building.slope_rad, hip)
             builder.add(building.roof_material, planes)
             builder.add(building.wall, rest)
-            centre, axis, length, width = bounding_rectangle(footprint)
+            centre, axis, length, width = geometry.bounding_rectangle(footprint)
             if rng.random() <= 0.7:  # a chimney
                 place = centre + rng.uniform(-0.2, 0.2) * length * axis
                 ridge = building.eaves_m + 0.5 * width * math.tan(building.slope_rad)
-                builder.add("brick", box_patch(np.array([*place, ridge + 0.2]), np.array([0.9, 0.7, 1.6])))
+                builder.add(
+                    "brick", geometry.box_patch(np.array([*place, ridge + 0.2]), np.array([0.9, 0.7, 1.6]))
+                )
             _add_dormers(builder, building, footprint, rng)
         case "mansard":
-            planes, top = mansard_roof(footprint, building.eaves_m, building.slope_rad, inset_m=2.2)
+            planes, top = geometry.mansard_roof(footprint, building.eaves_m, building.slope_rad, inset_m=2.2)
             builder.add(building.roof_material, planes)
             builder.add("roof_bitumen", top)
         case "flat":
-            deck, parapet = parapet_roof(footprint, building.eaves_m, parapet_m)
+            deck, parapet = geometry.parapet_roof(footprint, building.eaves_m, parapet_m)
             builder.add(building.roof_material, deck)
             builder.add("concrete", parapet)
             _add_plant(builder, building, footprint, rng)
 
 
-def _panes(footprint: Polygon, building: Building) -> Patch:
+def _panes(footprint: Polygon, building: Building) -> geometry.Patch:
     """Glass on the walls, as upright rectangles 3 cm before them."""
     if building.glazing == "none":
-        return join([])
+        return geometry.join([])
     corners = np.asarray(footprint.exterior.coords)[:, :2]
     storeys = max(int((building.eaves_m + 0.2) / building.storey_m), 1)
     spacing, width, sill, top = {
@@ -130,15 +120,15 @@ def _panes(footprint: Polygon, building: Building) -> Patch:
         middle = np.repeat(along, len(bottoms))
         low, high = np.tile(bottoms, len(along)), np.tile(tops, len(along))
         left, right = (a + outward + (middle + d)[:, None] * direction for d in (-width / 2, width / 2))
-        found.append(upright(left, right, low, high))
-    return join(found)
+        found.append(geometry.upright(left, right, low, high))
+    return geometry.join(found)
 
 
 def _add_dormers(
-    builder: MeshBuilder, building: Building, footprint: Polygon, rng: np.random.Generator
+    builder: geometry.MeshBuilder, building: Building, footprint: Polygon, rng: np.random.Generator
 ) -> None:
     """One or two gabled dormers on a side or both of a roof that is high enough for a room."""
-    centre, axis, length, width = bounding_rectangle(footprint)
+    centre, axis, length, width = geometry.bounding_rectangle(footprint)
     draw = rng.random(3)
     rise = 0.5 * width * math.tan(building.slope_rad)
     front_rise, cheek, gable = 0.2 * rise, 1.0, 0.4  # of the front wall's foot, and its two parts
@@ -159,7 +149,7 @@ def _add_dormers(
 
 
 def _add_dormer(
-    builder: MeshBuilder,
+    builder: geometry.MeshBuilder,
     building: Building,
     plan: tuple[Array, Array, Array],
     heights_m: tuple[float, float, float],
@@ -188,11 +178,11 @@ def _add_dormer(
 
 
 def _add_plant(
-    builder: MeshBuilder, building: Building, footprint: Polygon, rng: np.random.Generator
+    builder: geometry.MeshBuilder, building: Building, footprint: Polygon, rng: np.random.Generator
 ) -> None:
     """Stair heads, ventilation and cooling units on a flat roof: about one box in 150 m²."""
     deck = footprint.buffer(-2.5)
-    _, axis, _, _ = bounding_rectangle(footprint)
+    _, axis, _, _ = geometry.bounding_rectangle(footprint)
     heading = math.atan2(axis[1], axis[0])
     west, south, east, north = footprint.bounds
     for _ in range(min(int(footprint.area / 150), 12)):
@@ -201,8 +191,8 @@ def _add_plant(
         if deck.contains(shapely.Point(x, y)):
             material = "metal" if rng.random() < 0.6 else "concrete"
             centre = np.array([x, y, building.eaves_m + size[2] / 2 + 0.02])
-            builder.add(material, box_patch(centre, size, heading))
+            builder.add(material, geometry.box_patch(centre, size, heading))
     if building.roof_material == "roof_bitumen" and deck.area > 60 and rng.random() < 0.5:
         lights = deck.representative_point()
         centre = np.array([lights.x, lights.y, building.eaves_m + 0.35])
-        builder.add("glass", box_patch(centre, np.array([2.4, 1.6, 0.6]), heading))
+        builder.add("glass", geometry.box_patch(centre, np.array([2.4, 1.6, 0.6]), heading))

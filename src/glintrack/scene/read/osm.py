@@ -23,15 +23,7 @@ from glintrack.core.installation import data_file
 from glintrack.io.readings import collect_readings, report_reading
 from glintrack.io.untrusted import check_file, read_bytes
 from glintrack.scene.objects.surfaces import RoadNetwork
-from glintrack.scene.read.polygons import (
-    TOO_SMALL,
-    Footprint,
-    Polygons,
-    area_kind,
-    area_parts,
-    height_of,
-    unread_heights,
-)
+from glintrack.scene.read import polygons
 from glintrack.scene.read.sumo import NETCONVERT, NetLocation, call_sumo, read_sumo_net, read_xml, sumo_home
 
 _KINDS = {"node": 0, "way": 1, "relation": 2}
@@ -52,7 +44,7 @@ class _Extract:
 
 def read_osm(
     path: Path, net_path: Path, left_hand: bool | None = None
-) -> tuple[RoadNetwork, NetLocation, Polygons]:
+) -> tuple[RoadNetwork, NetLocation, polygons.Polygons]:
     """Read streets, buildings and grounds of an extract.
 
     Parameters
@@ -169,9 +161,9 @@ def _project(extract: _Extract, location: NetLocation) -> _Extract:
     return replace(extract, places=dict(zip(extract.places, places, strict=True)))
 
 
-def _areas(path: Path, extract: _Extract) -> Polygons:
+def _areas(path: Path, extract: _Extract) -> polygons.Polygons:
     """Assemble buildings and grounds of an extract with projected places."""
-    footprints: list[Footprint] = []
+    footprints: list[polygons.Footprint] = []
     grounds: list[tuple[str, BaseGeometry]] = []
     tagged: list[dict[str, str]] = []
     gone: Counter[str] = Counter()
@@ -181,34 +173,36 @@ def _areas(path: Path, extract: _Extract) -> Polygons:
     def add(tags: dict[str, str], members: list[tuple[str, str]]) -> bool:
         """Add an area; return True if nothing is left to do about its ways."""
         nonlocal used
-        kind, reason = area_kind(tags)
+        kind, reason = polygons.area_kind(tags)
         shape = reason or (_outline(extract, members) if kind else "")
         if kind is None or isinstance(shape, str):
             gone[str(shape)] += bool(shape)
             return bool(reason)
-        parts = area_parts(shape)
-        gone.update([] if parts else [TOO_SMALL])
+        parts = polygons.area_parts(shape)
+        gone.update([] if parts else [polygons.TOO_SMALL])
         used += bool(parts)
         if kind == "building":
             tagged.append(tags)
-            footprints.extend(Footprint(part, height_of(tags)) for part in parts)
+            footprints.extend(polygons.Footprint(part, polygons.height_of(tags)) for part in parts)
         else:
             grounds.extend((kind, part) for part in parts)
         return True
 
     for tags, members in extract.relations:
         ways = {ref: extract.ways[ref][1] for ref, _ in members if ref in extract.ways}
-        if area_kind(tags)[0] is None:  # old style
+        if polygons.area_kind(tags)[0] is None:  # old style
             outer = [ways[ref] for ref, role in members if role != "inner" and ref in ways]
-            tags = next((own for own in outer if area_kind(own)[0]), tags)
+            tags = next((own for own in outer if polygons.area_kind(own)[0]), tags)
         if add(tags, members):
-            consumed |= {ref for ref, own in ways.items() if area_kind(own)[0] == area_kind(tags)[0]}
+            consumed |= {
+                ref for ref, own in ways.items() if polygons.area_kind(own)[0] == polygons.area_kind(tags)[0]
+            }
     for ref, (_, tags) in extract.ways.items():
         if ref not in consumed:
             add(tags, [(ref, "outer")])
     count = used + gone.total()
-    report_reading(path, "buildings and grounds", count, used, gone, unread_heights(tagged))
-    return Polygons(tuple(footprints), tuple(grounds))
+    report_reading(path, "buildings and grounds", count, used, gone, polygons.unread_heights(tagged))
+    return polygons.Polygons(tuple(footprints), tuple(grounds))
 
 
 def _outline(extract: _Extract, members: list[tuple[str, str]]) -> BaseGeometry | str:

@@ -33,23 +33,9 @@ from glintrack.scene.read.sumo import (
     load_or_simulate,
     read_sumo_net,
 )
-from glintrack.scene.sources.lots import (
-    buildings_by_rule,
-    garden_trees,
-    parking_rows,
-    pavement_parking,
-    scatter,
-    yards,
-)
+from glintrack.scene.sources import lots
+from glintrack.scene.sources import site as sites
 from glintrack.scene.sources.neighbourhood import neighbourhood, use_by_size
-from glintrack.scene.sources.site import (
-    VEHICLE_MARGIN_M,
-    SceneOrigin,
-    Site,
-    place_of,
-    read_traffic,
-    resolve_file,
-)
 from glintrack.scene.traffic import Recording
 
 _CROP_MARGIN_M = 300.0  # of streets beyond the window, where traffic comes from
@@ -62,7 +48,7 @@ _NEAR_DEG = 1.0  # of the town's position, within which a centre is taken for de
 _GROUND_MATERIAL: Mapping[str, tuple[str, float]] = read_data("cities.toml")["ground"]
 
 
-def network_site(design: SceneDesign) -> Site:
+def network_site(design: SceneDesign) -> sites.Site:
     """Streets, buildings and traffic of a design with city ``net`` or ``osm``.
 
     Raises
@@ -74,19 +60,19 @@ def network_site(design: SceneDesign) -> Site:
         if design.city == "osm":
             net_path = Path(scratch) / "osm.net.xml"
             network, location, found = read_osm(
-                resolve_file(str(design.osm_file)), net_path, design.left_hand
+                sites.resolve_file(str(design.osm_file)), net_path, design.left_hand
             )
         else:
-            net_path = resolve_file(str(design.net_file))
+            net_path = sites.resolve_file(str(design.net_file))
             network, location = read_sumo_net(net_path)
             named = design.polygons_file
-            found = read_polygons(resolve_file(named)) if named else Polygons()
+            found = read_polygons(sites.resolve_file(named)) if named else Polygons()
         return _site(design, net_path, network, location, found)
 
 
 def _site(
     design: SceneDesign, net_path: Path, network: RoadNetwork, location: NetLocation, found: Polygons
-) -> Site:
+) -> sites.Site:
     if not network.of_kind("car"):
         raise ValueError(f"`{net_path.name}` must have a lane for motor vehicles; got none.")
     extent = design.extent_m
@@ -97,7 +83,7 @@ def _site(
         assumptions += (
             f"the window is put where the network is densest, about ({centre[0]:g}, {centre[1]:g}).",
         )
-    place, more = place_of(design, location, centre, "network has no projection")
+    place, more = sites.place_of(design, location, centre, "network has no projection")
     degrees = place.longitude_latitude_deg
     assumptions += (_driving_side(design, network, None if more else degrees),)
     for pair in (degrees, degrees[::-1]):  # a small network has the town's degrees as metres too
@@ -128,7 +114,7 @@ def _site(
     if fill and any(lane.is_motorway for lane in near.lanes):
         assumptions += (f"nothing is built within {_MOTORWAY_CLEARANCE_M:g} m of motorways and their ramps",)
     layout = partial(_layout, near, local, area, fill)
-    return Site(recording, place, extent, layout, traffic_origin_m=centre, assumptions=assumptions)
+    return sites.Site(recording, place, extent, layout, traffic_origin_m=centre, assumptions=assumptions)
 
 
 def _driving_side(design: SceneDesign, network: RoadNetwork, place_deg: tuple[float, float] | None) -> str:
@@ -169,14 +155,14 @@ def _traffic(
     network: RoadNetwork,
     near: RoadNetwork,
     centre: tuple[float, float],
-    place: SceneOrigin | None,
+    place: sites.SceneOrigin | None,
 ) -> tuple[Recording, tuple[str, ...]]:
     west, south, east, north = design.extent_m
     window = (centre[0] + west, centre[1] + south, centre[0] + east, centre[1] + north)
-    kept = expand_extent(window, VEHICLE_MARGIN_M)
+    kept = expand_extent(window, sites.VEHICLE_MARGIN_M)
     if design.traffic_file:
-        reach = expand_extent(design.extent_m, VEHICLE_MARGIN_M)
-        return Recording(near, read_traffic(design, reach, place, centre)), ()
+        reach = expand_extent(design.extent_m, sites.VEHICLE_MARGIN_M)
+        return Recording(near, sites.read_traffic(design, reach, place, centre)), ()
     crop = expand_extent(window, _CROP_MARGIN_M)
     driven = sum(lane.line.length for lane in network.within(box(*crop)).of_kind("car"))
     period = design.traffic_insertion_period_s
@@ -248,7 +234,7 @@ def _layout(
     streets = road_areas(network, area)
     building_rng, ground_rng, tree_rng, parking_rng, fill_rng = rng.spawn(5)
     outlines = [(f.shape, f.height_m) for f in found.footprints]
-    buildings = buildings_by_rule(outlines, area, streets.carriageway, building_rng)
+    buildings = lots.buildings_by_rule(outlines, area, streets.carriageway, building_rng)
     built = unary_union([b.footprint for b in buildings])
     patches, parked, wood = _grounds(found, streets.all, built, ground_rng)
     covered = unary_union([shape for kind, shape in found.grounds if kind != "lawn"])
@@ -263,14 +249,14 @@ def _layout(
             (*wood, *hood.trees),
             (*parked, *hood.parked),
         )
-    patches += yards(blocks(streets, area), built, ground_rng)
+    patches += lots.yards(blocks(streets, area), built, ground_rng)
     home = unary_union([built.buffer(_GARDEN_REACH_M), streets.pavement.buffer(6)]).intersection(area)
-    grown = garden_trees(network, unary_union([streets.all, covered]), built, home, tree_rng)
+    grown = lots.garden_trees(network, unary_union([streets.all, covered]), built, home, tree_rng)
     open_land = area.difference(unary_union([home, covered, streets.all.buffer(4)]))
     for piece in cut_into_tiles(open_land, 120.0):
-        for x, y in scatter(piece, spacing_m=9.0, count=int(piece.area / 1500), rng=tree_rng):
+        for x, y in lots.scatter(piece, spacing_m=9.0, count=int(piece.area / 1500), rng=tree_rng):
             grown.append(draw_tree(x, y, tree_rng, (5.0, 13.0)))
-    parked += pavement_parking(network, streets.carriageway, built, area, parking_rng)
+    parked += lots.pavement_parking(network, streets.carriageway, built, area, parking_rng)
     return Layout(streets, tuple(patches), buildings, (*wood, *grown), tuple(parked))
 
 
@@ -293,12 +279,12 @@ def _grounds(
         if kind == "parking":
             for piece in polygons(shape.difference(solid)):
                 if piece.area > 150:
-                    lines, cars = parking_rows(piece, rng, occupancy=0.36, aisles_outside=True)
+                    lines, cars = lots.parking_rows(piece, rng, occupancy=0.36, aisles_outside=True)
                     patches.append(GroundPatch("road_paint", lines, height))
                     parked += cars
         if kind == "forest":
             for piece in cut_into_tiles(shape.difference(solid), 80.0):
-                for x, y in scatter(piece, spacing_m=4.5, count=int(piece.area / 55), rng=rng):
+                for x, y in lots.scatter(piece, spacing_m=4.5, count=int(piece.area / 55), rng=rng):
                     wood.append(draw_tree(x, y, rng, (9.0, 18.0)))
         patches.append(GroundPatch(material, shape, height))
     return patches, parked, wood
