@@ -15,6 +15,7 @@ import xarray as xr
 
 from glintrack.core.records import Extent
 from glintrack.io.detections import read_detections, read_tracks, read_truth
+from glintrack.io.map_files import TrackGeoreference
 from glintrack.io.orthoimages import Geotransform
 from glintrack.io.readings import collect_readings
 from glintrack.io.tracks import (
@@ -23,7 +24,6 @@ from glintrack.io.tracks import (
     TRACK_COLUMNS,
     TRUTH_COLUMNS,
     WRITERS,
-    TrackGeoreference,
     track_table,
     truth_table,
     write_tables,

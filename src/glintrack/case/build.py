@@ -160,11 +160,5 @@ def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | 
         grid = GroundGrid(len(north), len(east), place, rectify)
     light = FrameRadiance(observer.trace(snapshot, pose), observer.sky, city.materials)
     return FrameView(
-        observer=observer,
-        pose=pose,
-        radiance=light,
-        frame=frame,
-        time_s=time_s,
-        band_um=case.sensor.band_um,
-        grid=grid,
+        observer, pose, radiance=light, frame=frame, time_s=time_s, band_um=case.sensor.band_um, grid=grid
     )

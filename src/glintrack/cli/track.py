@@ -17,10 +17,11 @@ from glintrack.core.records import Extent
 from glintrack.io import atomic
 from glintrack.io.crs import metric_crs, warn_off_map
 from glintrack.io.detections import DetectionTable, read_detections, read_truth
+from glintrack.io.map_files import TrackGeoreference
 from glintrack.io.orthoimages import FrameSource, Geotransform, open_frames, read_frame_times
 from glintrack.io.readings import report_reading
 from glintrack.io.toml import read_toml
-from glintrack.io.tracks import WRITERS, TrackGeoreference, track_table, write_tables
+from glintrack.io.tracks import WRITERS, track_table, write_tables
 from glintrack.ortho.posed_frames import rectify_frames
 from glintrack.ortho.stabilization import register_frames, stabilize
 from glintrack.report.frames_page import FrameFilm, write_frames_page

@@ -19,10 +19,11 @@ from glintrack.core.schema import CHANNEL_WORDS
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
 from glintrack.io.atomic import write_bytes, write_text
 from glintrack.io.images import write_figure
+from glintrack.io.map_files import TrackGeoreference
 from glintrack.io.netcdf import write_tree
 from glintrack.io.tables import write_table
 from glintrack.io.toml import to_toml
-from glintrack.io.tracks import TrackGeoreference, track_table, truth_table, write_tables
+from glintrack.io.tracks import track_table, truth_table, write_tables
 from glintrack.results.epoch import BOX_COLUMNS
 from glintrack.results.figures import LOOP_STYLES
 from glintrack.results.figures import devices as plot_devices

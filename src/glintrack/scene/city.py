@@ -24,8 +24,8 @@ from glintrack.scene.objects.plants import hedge_model, tree_models
 from glintrack.scene.objects.terrain import flat_terrain, is_level, read_dem, rolling_terrain, slope_at
 from glintrack.scene.sources.braunschweig import braunschweig_site
 from glintrack.scene.sources.embedded import procedural_site
-from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Site, mesh_site, mesh_terrain
-from glintrack.scene.sources.user_network import network_site, resolve_file
+from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Site, mesh_site, mesh_terrain, resolve_file
+from glintrack.scene.sources.user_network import network_site
 from glintrack.scene.traffic import Recording, Traffic, warn_of_jam
 from glintrack.scene.vehicles import VEHICLE_CLASSES, build_models
 
