@@ -19,7 +19,7 @@ WORK = {
     "case schema": ("glintrack.core.designs.keys_of",),
     "dataset baseline": ("glintrack.dataset.score_baselines",),
     "dataset build": ("glintrack.dataset.plan_dataset", "glintrack.dataset.build_dataset"),
-    "dataset label": ("glintrack.report.label_page.write_label_page",),
+    "dataset label": ("glintrack.report.frames_page.write_label_page",),
     "device etalon": ("glintrack.devices.etalon.tabulate",),
     "device micromirror": (
         "glintrack.devices.micromirror.tabulate",

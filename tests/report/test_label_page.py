@@ -13,7 +13,7 @@ from PIL import Image
 from glintrack.dataset.sequences import read_sequence
 from glintrack.io.detections import read_truth
 from glintrack.io.orthoimages import FrameSource, Geotransform, image_of
-from glintrack.report.label_page import write_label_page
+from glintrack.report.frames_page import write_label_page
 
 GRID = Geotransform(1000.0, 2000.0, 0.5)
 TIMES_S = [0.0, 0.1 + 0.2, 1.0]

@@ -11,7 +11,7 @@ from glintrack.core.installation import read_data
 from glintrack.dataset import BASELINES, SCORES, build_dataset, plan_dataset, score_baselines
 from glintrack.io.atomic import check_new
 from glintrack.io.orthoimages import Geotransform, open_frames, read_frame_times
-from glintrack.report.label_page import write_label_page
+from glintrack.report.frames_page import write_label_page
 
 _HEADS = read_data("page", "scores.toml")["detectors"]
 app = cli.command_app(

@@ -1,4 +1,4 @@
-"""Report page of tracks in a user's own frames: the film with the tracks over it, and their counts."""
+"""Pages of a user's own frames: the film with its tracks and their counts, and one to label vehicles."""
 
 import base64
 import io
@@ -13,9 +13,12 @@ from PIL import Image
 from glintrack.core.arrays import Array
 from glintrack.core.records import Extent
 from glintrack.io.atomic import write_text
+from glintrack.io.tracks import LABEL_FILE_COLUMNS
 from glintrack.report.page import render_page, script_json
 
 MAX_SIDE_PX, QUALITY = 1000, 60  # of a picture
+LABEL_SIDE_PX, LABEL_QUALITY = 2000, 85
+MAX_LABEL_FRAMES, MAX_LABEL_BYTES = 300, 80_000_000  # of a page to label that a browser opens
 MAX_PICTURES = 300  # of frames after these the page shows the tracks alone
 _LEVELS = (0.005, 0.985)  # quantiles of the first frame that become black and white
 TRACK_COLUMNS = ("track", "frames", "first [s]", "last [s]", "mean speed [m/s]")
@@ -70,7 +73,7 @@ class FrameFilm:
 
 
 def write_frames_page(path: Path, title: str, film: FrameFilm, rows: xr.Dataset) -> None:
-    """Write the page.
+    """Write the report of tracks.
 
     Parameters
     ----------
@@ -113,3 +116,68 @@ def write_frames_page(path: Path, title: str, film: FrameFilm, rows: xr.Dataset)
         last=max(frames - 1, 0), columns=TRACK_COLUMNS, rows=table, data=script_json(data),
     )  # fmt: skip
     write_text(path, page)
+
+
+def write_label_page(
+    path: Path,
+    title: str,
+    frames: Iterable[tuple[float, xr.Dataset]],
+    area_m: tuple[float, float, float, float] | None = None,
+) -> int:
+    """Write the page on which a user labels vehicles by hand, and return the number of frames on it.
+
+    Parameters
+    ----------
+    path
+        HTML file.
+    title
+        Name of the frames.
+    frames
+        Time [s] and Dataset of the schema ``image``, on one grid.
+    area_m
+        West, south, east, north of the part to show; all of it by default. [m]
+
+    Raises
+    ------
+    ValueError
+        If no frame or no pixel is left, or the page would be too large.
+    """
+    film = FrameFilm(max_side_px=LABEL_SIDE_PX, quality=LABEL_QUALITY)
+    size = 0
+    for _ in film.record((time_s, _crop(image, area_m)) for time_s, image in frames):
+        size += len(film.pictures[-1])
+        if len(film.times_s) > MAX_LABEL_FRAMES or size > MAX_LABEL_BYTES:
+            raise ValueError(
+                f"`frames` must be at most {MAX_LABEL_FRAMES} and {MAX_LABEL_BYTES / 1e6:g} MB as pictures; "
+                f"got more at frame {len(film.times_s)}. Give fewer frames, or a part of them with --area."
+            )
+    if film.extent_m is None:
+        raise ValueError("`frames` must hold a frame to label; got none.")
+    data = {
+        "times_s": film.times_s,
+        "extent_m": film.extent_m,
+        "columns": LABEL_FILE_COLUMNS,
+        "pictures": [base64.b64encode(one).decode() for one in film.pictures],
+    }
+    page = render_page(
+        "label.html.j2", scripts=("theme.js", "label.js"), title=title, columns=LABEL_FILE_COLUMNS,
+        area=" ".join(f"{round(edge, 3) + 0.0:.12g}" for edge in film.extent_m), last=len(film.times_s) - 1,
+        data=script_json(data),
+    )  # fmt: skip
+    write_text(path, page)
+    return len(film.times_s)
+
+
+def _crop(image: xr.Dataset, area_m: tuple[float, float, float, float] | None) -> xr.Dataset:
+    """Part of a frame whose pixels have their middle in an area."""
+    if area_m is None:
+        return image
+    west, south, east, north = area_m
+    part = image.sel(x=slice(west, east), y=slice(north, south))
+    if min(part.sizes["x"], part.sizes["y"]) < 2:
+        x, y = image["x"].values, image["y"].values
+        raise ValueError(
+            f"`area` must be west south east north with pixels of the frames, {x[0]:.6g} {y[-1]:.6g} "
+            f"{x[-1]:.6g} {y[0]:.6g}; got {west:g} {south:g} {east:g} {north:g}."
+        )
+    return part

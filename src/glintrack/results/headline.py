@@ -35,11 +35,8 @@ def headline(result: Result) -> Headline | None:
     name, tree = verdict.select_channel(result.scores), result.tree
     if name is None or tree is None:
         return None
-    attributes, where, budget = (
-        tree[name].attrs,
-        verdict.scored_area(tree),
-        verdict.stage_shares(tree).get(name, {}),
-    )
+    attributes, where = tree[name].attrs, verdict.scored_area(tree)
+    budget = verdict.stage_shares(tree).get(name, {})
     movers, false = (float(attributes.get(k, math.nan)) for k in ("vehicles_per_frame", "false_per_frame"))
     number, loss = verdict.per_hundred(result.scores[name]["completeness"]), largest_loss(budget)
     tracked = f"{verdict.describe_subject(name)} {number}"

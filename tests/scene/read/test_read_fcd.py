@@ -8,8 +8,7 @@ import pytest
 
 from glintrack.io.readings import collect_readings
 from glintrack.scene.objects.surfaces import RoadNetwork
-from glintrack.scene.read.fcd import fcd_table, read_fcd
-from glintrack.scene.read.vehicle_types import model_of
+from glintrack.scene.read.fcd import fcd_table, model_of, read_fcd
 from glintrack.scene.traffic import Recording, write_recording
 from glintrack.scene.vehicles import VEHICLE_CLASSES
 
