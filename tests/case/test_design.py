@@ -72,7 +72,7 @@ def test_a_case_begins_from_the_packaged_one_that_it_is_like(tmp_path):
         ('like = "quick"', "`like` must name a packaged case .arterial, braunschweig, .*; got 'quick'"),
         ('like = "table1"', "`like` must name a packaged case"),
         ("like = 3", "`like` must name a packaged case"),
-        ('base = "quickstart"', "`base` must not be in a case .`like` names one to begin from."),
+        ('base = "quickstart"', "`base` must not be in a case .`like` names its base."),
     ],
 )
 def test_what_a_case_is_like_must_be_packaged(tmp_path, text, sentence):

@@ -205,8 +205,8 @@ def test_an_interrupt_leaves_nothing(monkeypatch, case_file, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--frame", "3"], "`--frame` must lie within the flight's 0 to 2; got 3"),
-        (["--frame", "-1"], "`--frame` must lie within the flight's 0 to 2; got -1"),
+        (["--frame", "3"], "`--frame` must lie in the flight's 0 to 2; got 3"),
+        (["--frame", "-1"], "`--frame` must lie in the flight's 0 to 2; got -1"),
         (["--band", "0.7:0.6"], "`--band` must be two rising wavelengths in µm; got '0.7:0.6'"),
         (["--band", "red"], "`--band` must be two wavelengths in µm, as 0.6:0.7; got 'red'"),
         (["--band", "0.9:1.2"], "`--band` must rise within the atmosphere's 0.4 to 1 µm; got 0.9:1.2"),

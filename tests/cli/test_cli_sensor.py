@@ -90,7 +90,7 @@ def test_show_takes_a_detector_of_the_catalogue_with_its_sources(glintrack):
         (("ghosts", "relay", "--pitch-um", "1e308"), "`--pitch-um` must be less than or equal to 1000000 µm"),
         (("ghosts", "relay", "--window-mm", "nan"), "`window` must fit into the 320.027 mm before the image"),
         (("expose", "quickstart", "-o", "frame.tif"), "`--output` must end in .nc"),
-        (("expose", "quickstart", "--frame", "40"), "`--frame` must lie within the flight's 0 to 39; got 40"),
+        (("expose", "quickstart", "--frame", "40"), "`--frame` must lie in the flight's 0 to 39; got 40"),
     ],
 )
 def test_bad_input_is_one_sentence(glintrack, tmp_path, monkeypatch, arguments, message):

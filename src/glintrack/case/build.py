@@ -126,9 +126,7 @@ def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | 
         If the flight has no such frame, the scene is empty, or the lens is below the ground.
     """
     if not 0 <= frame < case.flight.frames:
-        raise ValueError(
-            f"`--frame` must lie within the flight's 0 to {case.flight.frames - 1}; got {frame}."
-        )
+        raise ValueError(f"`--frame` must lie in the flight's 0 to {case.flight.frames - 1}; got {frame}.")
     scenario = build_scenario(case)
     city, flight, observer = scenario.city, scenario.flight, scenario.observer
     time_s = float(flight.times_s[frame])

@@ -160,9 +160,7 @@ def _add_figures(entries: Entries, camera: Mapping[str, Any], lens: str) -> None
         entries.setdefault(key, (value, ""))
     f_number = camera.get("f_number")
     entries["f_number"] = (DEFAULT_F_NUMBER, "assumed") if f_number is None else (f_number, "")
-    f_number, columns, rows, pitch_um = (
-        entries[key][0] for key in ("f_number", "columns", "rows", "pitch_um")
-    )
+    f_number, columns, rows, pitch_um = (entries[k][0] for k in ("f_number", "columns", "rows", "pitch_um"))
     diagonal_mm = 1e-3 * pitch_um * math.hypot(columns, rows)
     if item and f_number < (least := item.figures["f_number"]):
         raise ValueError(f"`--f-number` must be at least the lens's {least:g}; got {f_number:g}.")

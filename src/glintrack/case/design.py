@@ -235,9 +235,7 @@ def read_case(path: str | Path) -> dict[str, Any]:
         raise ValueError(f"`case` must be a case; got the study {name}. Run `glintrack study {name}`.")
     for key in ("case", "base"):
         if key in values:
-            raise ValueError(
-                f"`{key}` must not be in a case (`like` names one to begin from); got it in {path}."
-            )
+            raise ValueError(f"`{key}` must not be in a case (`like` names its base); got it in {path}.")
     return over_like(values)
 
 

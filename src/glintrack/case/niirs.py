@@ -58,9 +58,7 @@ def giqe5(gsd_m: float, edge_responses: tuple[float, float], snr: float, elevati
     return 9.57 - 3.32 * math.log10(weighted_m / _M_PER_INCH) + interaction - 2 * edge**4 - 1.8 / snr
 
 
-def relative_edge_response(
-    frequency: Float[Array, "frequency"], transfer: Float[Array, "frequency"]
-) -> float:
+def relative_edge_response(frequency: Float[Array, "n"], transfer: Float[Array, "n"]) -> float:
     """Rise of a sharp edge's image from half an element before the edge to half an element behind it. [1]
 
     Parameters

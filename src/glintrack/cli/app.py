@@ -110,9 +110,7 @@ def _run(received: list[int]) -> tuple[str, int]:
 def _call() -> int:
     for word in sys.argv[1:]:
         if plain(word, len(word)) != word:  # such a name would be printed again and again
-            raise ValueError(
-                f"names and values must be without control codes; got {word!r}. Rename the file."
-            )
+            raise ValueError(f"names and values must have no control codes; got {word!r}. Rename the file.")
     with collect_readings() as readings:
         code = typer.main.get_command(app)(prog_name="glintrack", standalone_mode=False)
     print_readings(open_console(), readings)

@@ -44,9 +44,7 @@ def solve(
 @app.command()
 def plot(
     tables: Annotated[Path, argument("NetCDF file from `glintrack atmosphere solve`")],
-    output: Annotated[
-        Path | None, option("PNG file to write [default: TABLES.png]", "-o", "--output")
-    ] = None,
+    output: Annotated[Path | None, option("PNG to write [default: TABLES.png]", "-o", "--output")] = None,
     wavelength_um: Annotated[
         list[float] | None, option("Wavelength to map [µm]; repeatable", "--wavelength-um")
     ] = None,

@@ -121,9 +121,7 @@ def new(
     polarizers: Annotated[
         Polarizers | None, cli.option("Mosaic: four angles, or the paper's [default: none]")
     ] = None,
-    sensor: Annotated[
-        str, cli.option("Array of `glintrack sensor list`, instead of --pixels and --pitch")
-    ] = "",
+    sensor: Annotated[str, cli.option("Array of `glintrack sensor list`, for --pixels and --pitch")] = "",
     lens: Annotated[str, cli.option("Lens of `glintrack sensor list`, instead of --focal-length")] = "",
 ) -> None:
     """Write a case from the data sheet of a camera; what the sheet leaves out is derived and stated.
@@ -157,9 +155,7 @@ def new(
 
 @app.command()
 def schema(
-    table: Annotated[
-        str | None, cli.argument("Table or key, as sensor.pitch_um [default: list tables]")
-    ] = None,
+    table: Annotated[str | None, cli.argument("Table or key, as sensor.pitch_um [default: tables]")] = None,
     everything: Annotated[bool, cli.option("Print every key of every table", "--all")] = False,
     as_json: Annotated[bool, cli.option("Print the JSON Schema instead of tables", "--json")] = False,
 ) -> None:

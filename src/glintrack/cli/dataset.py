@@ -27,13 +27,9 @@ def build(
         cli.argument("Case files, packaged cases, 'standard' (extra `traffic`) or 'standard/*-clear'"),
     ],
     output: Annotated[Path, cli.option("Folder of the set: new, or of a stopped build", "-o", "--output")],
-    frames: Annotated[
-        int | None, cli.option("Frames of each case [default: its own; 20 in standard]")
-    ] = None,
+    frames: Annotated[int | None, cli.option("Frames of a case [default: its own; 20 in standard]")] = None,
     shard_frames: Annotated[int, cli.option("Frames of one file", "--shard-frames")] = 10,
-    dry_run: Annotated[
-        bool, cli.option("Print number of cases and size; simulate nothing", "--dry-run")
-    ] = False,
+    dry_run: Annotated[bool, cli.option("Print cases and size; simulate nothing", "--dry-run")] = False,
     allow_outside_paths: cli.OutsidePathsOption = False,
 ) -> None:
     """Simulate cases into a labelled set: raw frames, channels, radiance, poses, boxes, masks.
@@ -70,9 +66,7 @@ def label(
     output: Annotated[Path, cli.option("Page to write, .html", "-o", "--output")],
     rate_hz: Annotated[float | None, cli.option("Frame rate if frames have no times [Hz]", "--rate")] = None,
     times: Annotated[Path | None, cli.option("CSV file with time_s of each frame [s]", "--times")] = None,
-    geotransform: Annotated[
-        cli.Corner | None, cli.option("West and north edge and pixel size of frames [m]")
-    ] = None,
+    geotransform: Annotated[cli.Corner | None, cli.option("West and north edge, pixel size [m]")] = None,
     area: Annotated[cli.Area | None, cli.option("West, south, east, north of the part to label [m]")] = None,
     uses_stabilization: Annotated[
         bool, cli.option("Stabilize frames of a moving camera first (extra `stabilize`)", "--stabilize")
@@ -89,9 +83,7 @@ def label(
         source = stabilize_frames(console, frames, source, open_frames(frames, rate_hz, grid, times_s))
     with cli.show_wait(console, "writing frames"):
         count = write_label_page(output, frames.name, source.frames, area)
-    console.print(
-        f"wrote {output}: {count} frames, {output.stat().st_size / 1e6:.3g} MB; open it in a browser"
-    )
+    console.print(f"wrote {output}: {count} frames, {output.stat().st_size / 1e6:.3g} MB; open in a browser")
 
 
 @app.command("baseline")

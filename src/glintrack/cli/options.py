@@ -45,9 +45,7 @@ def argument(help: str, **options: Any) -> Any:
 
 CaseArgument = Annotated[str, argument("Case file (TOML), or a packaged case, such as quickstart")]
 ResultArgument = Annotated[Path, argument("Folder that `glintrack run` wrote")]
-OutsidePathsOption = Annotated[
-    bool, option("Allow file paths outside the case's folder", "--allow-outside-paths")
-]
+OutsidePathsOption = Annotated[bool, option("Allow files outside the case's folder", "--allow-outside-paths")]
 FramesOption = Annotated[int | None, option("Number of frames to simulate [default: all]", min=1)]
 BaseOption = Annotated[str | None, option("Case to compare with [default: the packaged case of its name]")]
 RequireOption = Annotated[

@@ -29,9 +29,7 @@ def ortho(
 ) -> None:
     """Rectify your own image by collinearity with its pose, onto a DEM, in any CRS."""
     if (dem is None) == (height is None):
-        raise ValueError(
-            "`glintrack ortho` must get one of --dem and --height; got " + ("both." if dem else "none.")
-        )
+        raise ValueError("`ortho` must get one of --dem and --height; got " + ("both." if dem else "none."))
     check_output(output, ".tif", ".tiff", ".nc")
     check_new(output)
     console = open_console()

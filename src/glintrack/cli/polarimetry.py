@@ -66,9 +66,7 @@ def polarimetry(
             dolp = frame["dolp"].values[np.isfinite(frame["dolp"].values)]
             median = f"median DoLP {np.median(dolp):.3f}" if dolp.size else "no DoLP above its floor"
             size, full = " × ".join(map(str, frame["dolp"].shape[::-1])), 100 * frame.attrs["saturated_share"]
-            console.print(
-                f"{path.name}: {size} superpixels, {median}, {full:.2g} % of the elements saturated"
-            )
+            console.print(f"{path.name}: {size} superpixels, {median}, {full:.2g} % of elements saturated")
     console.print(f"wrote {output}: {len(files)} frames")
 
 

@@ -75,9 +75,7 @@ def view(
 def video(
     result: cli.ResultArgument,
     output: Annotated[Path, cli.option("File to write: .mp4 or .gif", "-o", "--output")],
-    pictures: Annotated[
-        str | None, cli.option("Images, with commas: rgb, pan, dolp, aop [default: all]")
-    ] = None,
+    pictures: Annotated[str | None, cli.option("Images as rgb,pan,dolp,aop [default: all]")] = None,
     channel: Annotated[str | None, cli.option("Channel of the tracks [default: the first]")] = None,
     width: Annotated[int, cli.option("Width of the video [pixel]", min=160, max=3840)] = 1280,
     speed: Annotated[float, cli.option("Speed relative to real time", min=0.05, max=100)] = 1.0,

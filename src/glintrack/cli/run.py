@@ -80,9 +80,7 @@ def run(
         ),
     ] = None,
     require: cli.RequireOption = None,
-    force: Annotated[
-        bool, cli.option("Simulate a case with bad quantities too (glintrack case check)")
-    ] = False,
+    force: Annotated[bool, cli.option("Simulate a case with bad quantities (glintrack case check)")] = False,
     allow_outside_paths: cli.OutsidePathsOption = False,
 ) -> None:
     """Simulate a case: city, frames, tracks and scores; writes a result folder.

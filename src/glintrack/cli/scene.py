@@ -36,9 +36,7 @@ def build(
     dem: Annotated[Path | None, cli.option("Raster of ground heights [m], with a CRS")] = None,
     traffic: Annotated[Path | None, cli.option("Floating-car data (.xml, .csv, .parquet) [m]")] = None,
     seed: Annotated[int, cli.option("Seed of everything random", min=0)] = 1,
-    width: Annotated[
-        float | None, cli.option("Window, west to east [m] [default: 660 or the mesh's]")
-    ] = None,
+    width: Annotated[float | None, cli.option("Window west to east [m] [default: 660 or the mesh's]")] = None,
     height: Annotated[
         float | None, cli.option("Window, south to north [m] [default: 420 or the mesh's]")
     ] = None,

@@ -72,9 +72,7 @@ def score(
         float, option("Smallest speed to be tracked [m/s]", "--moving-m-s", min=0)
     ] = MOVING_SPEED_M_S,
     rate_hz: Annotated[float | None, option("Frame rate of MOT .txt [Hz]", "--rate")] = None,
-    geotransform: Annotated[
-        Corner | None, option("West and north edge and pixel size of MOT .txt [m]")
-    ] = None,
+    geotransform: Annotated[Corner | None, option("West and north edge, pixel size of MOT .txt [m]")] = None,
     output: Annotated[Path | None, option("JSON file to write the scores to", "--json")] = None,
 ) -> None:
     """Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more."""

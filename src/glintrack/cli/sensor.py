@@ -62,9 +62,7 @@ def list_designs() -> None:
 
 @app.command()
 def show(
-    design: Annotated[
-        str, cli.argument("Name of `glintrack sensor list`, or a TOML file with a [sensor] table")
-    ],
+    design: Annotated[str, cli.argument("Name of `glintrack sensor list`, or a TOML file with [sensor]")],
     mtf: Annotated[Path | None, cli.option("Figure of the MTF to write, .png")] = None,
 ) -> None:
     """Print derived quantities of a sensor, and judge them in the light of its case, or of quickstart."""

@@ -75,9 +75,7 @@ def track_files(
     height: Annotated[float | None, option("With --poses: one height for all the ground [m]")] = None,
     dem: Annotated[Path | None, option("With --poses: raster of ground heights [m]")] = None,
     gsd: Annotated[float | None, option("With --poses: cell size [m] [default: a pixel's]")] = None,
-    has_page: Annotated[
-        bool, option("Write report.html: film of the frames, tracks, counts", "--report")
-    ] = False,
+    has_page: Annotated[bool, option("Write report.html: film, tracks, counts", "--report")] = False,
 ) -> None:
     """Track your own detections or frames.
 

@@ -68,9 +68,7 @@ class Design(BaseModel):
 
     def explicit_values(self) -> dict[str, Any]:
         """Values that are not left to their defaults."""
-        return {
-            name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set
-        }
+        return {k: getattr(self, k) for k in type(self).model_fields if k in self.model_fields_set}
 
 
 def types_of(model: type[BaseModel], name: str) -> set[Any]:
@@ -108,9 +106,7 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
     found = list(dict.fromkeys(sentences.values()))
     beyond = len(found) + max(len(errors) - _MAX_READ, 0) - _MAX_ERRORS
     shown = [text if len(text) <= 600 else f"{text[:400]} … {text[-150:]}" for text in found[:_MAX_ERRORS]]
-    return "\n".join(
-        [*shown, *([f"and {beyond} more error{'s' if beyond > 1 else ''}"] if beyond > 0 else [])]
-    )
+    return "\n".join([*shown, *([f"and {beyond} more error{'s' * (beyond > 1)}"] if beyond > 0 else [])])
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:

@@ -125,9 +125,7 @@ def _check(
     if not np.all((incidence_rad >= 0) & (incidence_rad < np.pi / 2)):
         raise ValueError(f"`incidence_rad` must lie in 0 to under π/2; got {np.max(incidence_rad):g}.")
     if np.any(np.imag(n[0]) != 0) or np.any(np.real(n[0]) <= 0):
-        raise ValueError(
-            "`indices[0]` must be real and positive; got a medium that absorbs before the stack."
-        )
+        raise ValueError("`indices[0]` must be real and positive; got an absorbing medium before the stack.")
     for k, index in enumerate(n):
         if np.any(np.imag(index) < 0):
             raise ValueError(

@@ -73,9 +73,7 @@ def check_new_folder(path: Path) -> None:
         If there is a file, or a folder that is not empty.
     """
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        raise ValueError(
-            f"`output` must be a new or empty folder; got {path}, which exists. Choose another -o."
-        )
+        raise ValueError(f"`output` must be a new or empty folder; got {path}. Choose another -o.")
 
 
 def check_new(path: Path, option: str = "output") -> None:
@@ -87,9 +85,7 @@ def check_new(path: Path, option: str = "output") -> None:
         If there is a file of that name.
     """
     if path.exists() or path.is_symlink():
-        raise ValueError(
-            f"`{option}` must be a new file; got {path}, which exists. Choose another, or remove it."
-        )
+        raise ValueError(f"`{option}` must be a new file; got {path}. Choose another, or remove it.")
 
 
 def reserve(path: Path, size: int) -> None:

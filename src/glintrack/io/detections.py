@@ -228,9 +228,7 @@ def _column_remedy(missing: Sequence[str], present: Sequence[str]) -> str:
     lower = {name.strip().lower(): name for name in present}
     if any(name.startswith(("lon", "lat")) for name in lower):
         return " Project them into metres first."
-    known = {
-        want: lower[own] for want in missing for own in (*_OTHER_NAMES.get(want, ()), want) if own in lower
-    }
+    known = {want: lower[k] for want in missing for k in (*_OTHER_NAMES.get(want, ()), want) if k in lower}
     return f" Rename {', '.join(f'{own} to {want}' for want, own in known.items())}." if known else ""
 
 

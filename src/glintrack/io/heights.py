@@ -81,9 +81,7 @@ def read_heights(
         places = np.stack(transform(np.ravel(x), np.ravel(y)))
         places = places[:, np.isfinite(places).all(axis=0)]
         if places.size == 0:
-            raise ValueError(
-                f"`{option}` must reach the frame's ground; got a CRS that does not: {path.name}"
-            )
+            raise ValueError(f"`{option}` must reach the frame's ground; got a CRS that cannot: {path.name}")
         pixel = np.stack(transform_points(~file.transform, *places))
         low, high = np.floor(pixel.min(axis=1)) - 3, np.ceil(pixel.max(axis=1)) + 3
         low, high = np.maximum(low, 0), np.minimum(high, (file.width, file.height))

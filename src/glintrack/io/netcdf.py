@@ -32,9 +32,7 @@ def read_dataset(path: Path, name: str) -> xr.Dataset:
         raise ValueError(f"`{name}` must be a readable NetCDF-4 file; got {path}: {error}.") from error
     for variable, values in dataset.variables.items():
         if values.dtype.kind in "fc" and np.isinf(values.values).any():
-            raise ValueError(
-                f"`{name}` must hold finite numbers; got an infinite one in `{variable}` of {path}."
-            )
+            raise ValueError(f"`{name}` must hold finite numbers; got infinity in `{variable}` of {path}.")
     return dataset
 
 

@@ -311,9 +311,7 @@ def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
         raise ValueError(f"`frames` must be a video that ffmpeg can read; got {path}.") from error
     width, height = about["size"]
     if width * height > MAX_CELLS:
-        raise ValueError(
-            f"`frames` must have at most {MAX_CELLS:,} pixels; got {width} × {height} in {path}."
-        )
+        raise ValueError(f"`frames` must have at most {MAX_CELLS:,} pixels; got {width} × {height}: {path}.")
     rate = rate_hz or float(about["fps"])
     grid = geotransform
 

@@ -51,9 +51,7 @@ class Stack:
         if rate_hz is not None:
             return np.arange(self.count) / rate_hz
         if "time" not in self.dataset.coords:
-            raise ValueError(
-                f"`frames` must have a coordinate time or come with --rate; got neither in {path}"
-            )
+            raise ValueError(f"`frames` must have a coordinate time, or --rate; got neither in {path}")
         return times_of(self.dataset, path)
 
     def corner_and_gsd(self, path: Path) -> tuple[float, float, float]:
@@ -83,9 +81,7 @@ class Stack:
         gsd = float(x[1] - x[0])
         even = np.allclose(np.diff(x), gsd, rtol=_STEP) and np.allclose(np.diff(y), -gsd, rtol=_STEP)
         if not (gsd > 0 and even):
-            raise ValueError(
-                f"`frames` must have x rising and y changing in equal steps; got others in {path}"
-            )
+            raise ValueError(f"`frames` must have x rising and y changing in equal steps; got others: {path}")
         return float(x[0]) - gsd / 2, float(y[0]) + gsd / 2, gsd
 
 

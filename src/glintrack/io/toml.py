@@ -35,9 +35,7 @@ def read_toml(path: str | Path, name: str) -> dict[str, Any]:
     except RecursionError as error:
         raise ValueError(f"`{name}` must be valid TOML; got {path}, nested too deeply.") from error
     if _is_deep(values):
-        raise ValueError(
-            f"`{name}` must hold tables at most {MAX_DEPTH} deep; got {path}, nested too deeply."
-        )
+        raise ValueError(f"`{name}` must hold tables at most {MAX_DEPTH} deep; got {path}, nested deeper.")
     return values
 
 

@@ -120,13 +120,9 @@ def read_bytes(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) ->
         try:
             content = file.read(most_bytes + 1)
         except (OSError, EOFError, zlib.error) as error:
-            raise ValueError(
-                f"`{name}` must be a whole gzip or bzip2 archive; got {path}: {error}."
-            ) from error
+            raise ValueError(f"`{name}` must be a whole gzip or bzip2 file; got {path}: {error}.") from error
     if len(content) > most_bytes:
-        raise ValueError(
-            f"`{name}` must hold at most {most_bytes / 1e6:g} MB when unzipped; got more in {path}."
-        )
+        raise ValueError(f"`{name}` must unzip to at most {most_bytes / 1e6:g} MB; got more in {path}.")
     return content
 
 

@@ -85,9 +85,7 @@ class _Numbered:
         places = [np.nonzero(similarity >= minimum) for _, _, similarity in self.rows]
         codes = [v[i] * self.tracks + t[j] for (v, t, _), (i, j) in zip(self.rows, places, strict=True)]
         known = np.unique(np.concatenate([*codes, np.empty(0, int)]).astype(int))
-        return known, [
-            (i, j, np.searchsorted(known, code)) for (i, j), code in zip(places, codes, strict=True)
-        ]
+        return known, [(i, j, np.searchsorted(known, c)) for (i, j), c in zip(places, codes, strict=True)]
 
 
 def _clear(epochs: Sequence[Similarity]) -> dict[str, float]:

@@ -54,9 +54,7 @@ class Requirement:
         """Raise a ValueError if the channel is none of these."""
         if self.channel not in (None, *channels):
             known = ", ".join(channels)
-            raise ValueError(
-                f"`--require` must name a channel of the flights ({known}); got {self.channel!r}."
-            )
+            raise ValueError(f"`--require` must name a channel flown ({known}); got {self.channel!r}.")
 
     def __str__(self) -> str:
         """Return the text of the requirement."""

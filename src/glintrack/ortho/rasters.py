@@ -157,9 +157,7 @@ def displacement_against(bands: Array, path: Path, grid: MapGrid) -> tuple[float
     reference = np.full(bands.shape[:2], np.nan)
     source = read_raster(path, "register")
     if source.crs is None:
-        raise ValueError(
-            f"`register` must have a CRS; got none in {path.name}. Set it: gdal_edit.py -a_srs …"
-        )
+        raise ValueError(f"`register` must have a CRS; got none: {path.name}. Set it: gdal_edit.py -a_srs …")
     corner = from_origin(grid.x[0] - grid.gsd / 2, grid.y[0] + grid.gsd / 2, grid.gsd, grid.gsd)
     try:
         reproject(

@@ -76,9 +76,7 @@ class GridCells(NamedTuple):
     def of(cls, east: Array, north: Array, height: Array) -> "GridCells":
         """Build cells from arrays, or numbers, that broadcast to two axes; store repeated values once."""
         shape = np.broadcast_shapes((1, 1), np.shape(east), np.shape(north), np.shape(height))
-        east, north, height = (
-            np.broadcast_to(np.asarray(a, dtype=float), shape) for a in (east, north, height)
-        )
+        east, north, height = (np.broadcast_to(np.asarray(a, float), shape) for a in (east, north, height))
         if east.strides[0] == 0 and north.strides[1] == 0:
             east, north = east[:1].copy(), north[:, :1].copy()
         height = height[:1, :1].copy() if height.strides == (0, 0) else np.ascontiguousarray(height)

@@ -214,9 +214,7 @@ def _fans(centre: Array, corners: Array, forward: Array, eye: Array) -> Float[Ar
     depth = np.einsum("vci,vi->vc", to, ahead)
     reach = [np.einsum("vci,vi->vc", to, axis) / depth for axis in (along, across)]
     step = (np.arange(FAN_SIDE) + 0.5) / FAN_SIDE
-    places = [
-        low[:, None] + (high - low)[:, None] * step for low, high in ((r.min(1), r.max(1)) for r in reach)
-    ]
+    places = [r.min(1)[:, None] + np.ptp(r, 1)[:, None] * step for r in reach]
     fan = (
         ahead[:, None, None]
         + places[0][:, :, None, None] * along[:, None, None]

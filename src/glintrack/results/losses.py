@@ -64,8 +64,6 @@ def find_remedy(stage: str, case: Case | None) -> Remedy | None:
         known["gsd_m"] = ground_view(case)[0][0]
     for one in read_toml(calibration_file("sensitivities"), "sensitivities")["remedies"]:
         ranges = one.get("valid", {}).items()
-        if stage in one["stages"] and all(
-            k in known and low <= known[k] <= high for k, (low, high) in ranges
-        ):
+        if stage in one["stages"] and all(k in known and low <= known[k] <= top for k, (low, top) in ranges):
             return Remedy(one["advice"], one["evidence"])
     return None

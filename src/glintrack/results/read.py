@@ -309,9 +309,7 @@ def score_rows(scores: Mapping[str, Mapping[str, float | None]]) -> list[tuple[s
     """Label of each score, and its text for each channel."""
     if not scores:
         return []
-    return [
-        (label, [score_text(of.get(key)) for of in scores.values()]) for key, label in SCORE_LABELS.items()
-    ]
+    return [(label, [score_text(of.get(k)) for of in scores.values()]) for k, label in SCORE_LABELS.items()]
 
 
 def picture_url(path: Path, longest_side: int) -> str:

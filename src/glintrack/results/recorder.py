@@ -166,9 +166,7 @@ class Recorder:
         }
         if all(one.log_likelihood_ratio is not None for _, one in found):
             columns["log_likelihood_ratio"] = (join("log_likelihood_ratio"), "1")
-        return xr.Dataset(
-            {name: ("row", values, {"units": unit}) for name, (values, unit) in columns.items()}
-        )
+        return xr.Dataset({k: ("row", v, {"units": unit}) for k, (v, unit) in columns.items()})
 
     def boxes(self) -> xr.Dataset:
         """Box of each vehicle in every frame, one ``row`` each, if the case asks for it."""

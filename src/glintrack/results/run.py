@@ -184,9 +184,7 @@ def label_frame(case: Case | str | Path = "quickstart", frame: int = 0) -> xr.Da
     """
     design = as_case(case)
     if not 0 <= frame < design.flight.frames:
-        raise ValueError(
-            f"`frame` must lie within the flight's 0 to {design.flight.frames - 1}; got {frame}."
-        )
+        raise ValueError(f"`frame` must lie in the flight's 0 to {design.flight.frames - 1}; got {frame}.")
     scenario = build_scenario(design)
     observer, times_s = scenario.observer, scenario.flight.times_s
     pose, now = scenario.flight.pose(times_s[frame]), scenario.city.at(times_s[frame])

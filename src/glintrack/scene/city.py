@@ -357,9 +357,7 @@ def glb(snapshot: Snapshot, materials: xr.Dataset) -> bytes:
         return document.add_mesh(mesh.vertices, mesh.faces, material, name)
 
     rgb = materials["preview_rgb"].values
-    rough, gloss, metal = (
-        materials[name].values for name in ("roughness", "specular_weight", "extinction_index")
-    )
+    rough, gloss, metal = (materials[k].values for k in ("roughness", "specular_weight", "extinction_index"))
     for k, name in enumerate(materials["material"].values):
         roughness = float(np.clip(np.sqrt(rough[k]) if gloss[k] > 0.2 else 1.0, 0.05, 1))
         document.add_material(str(name), rgb[k], 1.0 if metal[k] > 1 else 0.0, roughness)

@@ -66,9 +66,7 @@ class Traffic:
             if values.shape != (samples,):
                 raise ValueError(f"`{name}` must hold {samples} samples; got {values.shape}.")
             if not np.isfinite(values).all():
-                raise ValueError(
-                    f"`{name}` must be finite; got {int((~np.isfinite(values)).sum())} that are not."
-                )
+                raise ValueError(f"`{name}` must be finite; got {np.sum(~np.isfinite(values))} that are not.")
         if self.count.size and (self.count.min() < 1 or (self.first + self.count).max() > self.steps):
             raise ValueError(f"`count` must keep every vehicle within {self.steps} steps; got one beyond.")
         if self.model.size and not 0 <= self.model.min() <= self.model.max() < len(VEHICLE_CLASSES):

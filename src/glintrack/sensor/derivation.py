@@ -105,9 +105,7 @@ def _relative_signal(band_um: tuple[float, float], efficiency: float | str) -> f
     if isinstance(efficiency, str):
         table = read_spectra(SILICON, "sensor.quantum_efficiency", {"efficiency": (0.0, 1.0)})
         part = np.interp(grid, table["wavelength_um"], table["efficiency"], right=0.0)
-    own, default = (
-        (first - 1e-9 <= grid) & (grid <= last + 1e-9) for first, last in (band_um, DEFAULT_BAND_UM)
-    )
+    own, default = ((low - 1e-9 <= grid) & (grid <= last + 1e-9) for low, last in (band_um, DEFAULT_BAND_UM))
     return float((photons * part)[own].sum() / (DEFAULT_EFFICIENCY * photons[default].sum()))
 
 

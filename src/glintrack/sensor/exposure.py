@@ -128,9 +128,7 @@ def s0_noise_floor(sensor: Sensor) -> float:
     if sensor.stokes_matrix is None:
         return noise_equivalent_radiance(sensor)
     polarizers = places(sensor.design.superpixel, "polarizer")
-    noise = np.array(
-        [sensor.design.dark_noise_e / sensor.electrons_per_reading[place] for place in polarizers]
-    )
+    noise = np.array([sensor.design.dark_noise_e / sensor.electrons_per_reading[k] for k in polarizers])
     return float(np.hypot.reduce(sensor.stokes_matrix[0] * noise))
 
 

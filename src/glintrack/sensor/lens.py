@@ -269,9 +269,7 @@ def with_lens(design: SensorDesign) -> SensorDesign:
         )
     places, _, passed = image_of(lens, objects.reshape(-1, 2), wavelength_um)
     if not np.isfinite(places).all():
-        raise ValueError(
-            f"`sensor.optics.lens` must image the whole array; got no light in a part by {lens.name}."
-        )
+        raise ValueError(f"`sensor.optics.lens` must image the whole array; got a dark part by {lens.name}.")
     errors_nm = 1e3 * path_errors_um(lens, objects.reshape(-1, 2), wavelength_um)
     # prescriptions count the path's error the other way round
     nodes = [

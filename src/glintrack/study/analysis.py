@@ -128,9 +128,7 @@ def sobol_indices(found: Units, axes: Sequence[str], rng: np.random.Generator) -
     width = len(axes) + 2
     y = np.nanmean(found.values, axis=1)
     if len(y) % width:
-        raise ValueError(
-            f"`study` must have all its points finished for Sobol indices; got {len(y)} of them."
-        )
+        raise ValueError(f"`study` must have all its points finished for Sobol indices; got {len(y)}.")
     y = y.reshape(-1, width)
     y = y[np.isfinite(y).all(axis=1)]
     draws = np.concatenate([np.arange(len(y))[None], rng.integers(0, len(y), (DRAWS, len(y)))])

@@ -242,9 +242,7 @@ def build_axes(design: StudyDesign) -> tuple[Axis, ...]:
             raise ValueError(f"`axes` must not be named as a column of the results is; got `{axis.name}`.")
         for key in {key for _, keys in axis.ends for key in keys}:
             if key in owner:
-                raise ValueError(
-                    f"`axes.{axis.name}` must not set `{key}`, which `axes.{owner[key]}` sets too"
-                )
+                raise ValueError(f"`axes.{axis.name}` must not set `{key}`, as `axes.{owner[key]}` does")
             owner[key] = axis.name
         if axis.span is not None and design.design in ("one-at-a-time", "factorial"):
             raise ValueError(
@@ -269,9 +267,7 @@ def _axis(name: str, value: Any) -> Axis:
         raise ValueError(f"`axes.{name}` must be a list of values or {{ from = …, to = … }}; got {value!r}.")
     if all(isinstance(v, dict) for v in value):
         if any("label" not in v or len(v) < 2 for v in value):
-            raise ValueError(
-                f"`axes.{name}` must give each table a `label` and keys of the case; got {value}."
-            )
+            raise ValueError(f"`axes.{name}` must give each table a `label` and keys of a case; got {value}.")
         labels = tuple(str(v["label"]) for v in value)
         keys = tuple(flat({k: v for k, v in table.items() if k != "label"}) for table in value)
     else:

@@ -206,9 +206,7 @@ def _with_keys(values: dict[str, Any], keys: Mapping[str, Any], source: str) -> 
             continue
         inner = out.get(head, {})
         if not isinstance(inner, dict):
-            raise ValueError(
-                f"`{source}` must name a key of the case; got `{key}`, and `{head}` is no table."
-            )
+            raise ValueError(f"`{source}` must name a key of the case; got `{key}`; `{head}` is no table.")
         out[head] = _with_keys(inner, {rest: value}, source)
     return out
 

@@ -128,9 +128,7 @@ def response_surfaces(
         return {}
     done = _select_finished(select_finished_replicates(table))
     varied = [axis for axis in source["axes"] if done[axis].nunique() > 1]
-    pairs = [
-        (name, ch) for name in RESPONSES if name in done for ch in CHANNELS if ch in set(done["channel"])
-    ]
+    pairs = [(name, c) for name in RESPONSES if name in done for c in CHANNELS if c in set(done["channel"])]
     fits = {pair: analysis.fit_scores(done, varied, *pair, log_axes(source)) for pair in pairs}
     return {pair: surface for pair, surface in fits.items() if surface is not None}
 

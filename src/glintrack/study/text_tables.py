@@ -82,9 +82,7 @@ def answer(tables: Mapping[str, pd.DataFrame]) -> str:
     if rows.empty:
         return _describe_best_point(tables["points"]) if "points" in tables else ""
     name = NAMES[headline(tables["effects"])]
-    changes = [
-        f"`{row['axis']}`, {row['level']}: {row['effect']:+.3g} {name}" for row in rows.to_dict("records")
-    ]
+    changes = [f"`{r['axis']}`, {r['level']}: {r['effect']:+.3g} {name}" for r in rows.to_dict("records")]
     significant = rows[rows["significant"]].to_dict("records")
     effects = [
         f"{change} {_interval(row)} in {_channel(row)}"

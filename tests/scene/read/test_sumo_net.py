@@ -93,7 +93,7 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, content, words):
 def test_truncated_gzip_is_refused(tmp_path):
     path = tmp_path / "n.net.xml.gz"
     path.write_bytes(gzip.compress(NET.encode())[:200])
-    with pytest.raises(ValueError, match="must be a whole gzip or bzip2 archive"):
+    with pytest.raises(ValueError, match="must be a whole gzip or bzip2 file"):
         read_sumo_net(path)
 
 

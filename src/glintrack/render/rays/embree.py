@@ -80,9 +80,7 @@ def load_library() -> ctypes.CDLL:
     """
     spec = importlib.util.find_spec("embreex")
     if spec is None or spec.origin is None:
-        raise ValueError(
-            "`embreex` must be installed to trace rays; got no such package. Run: pip install embreex"
-        )
+        raise ValueError("`embreex` must be installed to trace rays; got none. Run: pip install embreex")
     importlib.import_module("embreex.rtcore")  # loads TBB and Embree by their relative paths
     path = _library_file(Path(spec.origin).parent)
     binding.load_library_permanently(str(path))

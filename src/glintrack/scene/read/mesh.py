@@ -229,9 +229,7 @@ def _check_size(vertices: Float[Array, "vertex 3"]) -> None:
     wide, tall = float(max(high[0] - low[0], high[1] - low[1])), float(high[2] - low[2])
     far = float(np.abs(np.r_[low[:2], high[:2]]).max())
     if not _MIN_WIDTH_M <= wide <= _MAX_WIDTH_M or tall > _MAX_HEIGHT_M:
-        fitting = [
-            f"{unit_m:g} for {name}" for name, unit_m in _UNITS_M.items() if 100 <= wide * unit_m <= 3000
-        ]
+        fitting = [f"{m:g} for {name}" for name, m in _UNITS_M.items() if 100 <= wide * m <= 3000]
         remedy = f"Set mesh_unit_m, perhaps {' or '.join(fitting)}." if fitting else "Set mesh_unit_m."
         raise ValueError(
             f"`mesh_file` must be {_MIN_WIDTH_M:g} to {_MAX_WIDTH_M:g} m wide and at most "
@@ -319,9 +317,7 @@ def _count_triangles(accessors: list[dict[str, Any]], primitive: dict[str, Any])
     """Count the triangles of a primitive of triangles, or of a strip."""
     mode, position = primitive.get("mode", _TRIANGLES), primitive["attributes"]["POSITION"]
     if mode > _STRIP:
-        raise ValueError(
-            f"a primitive of mode {mode} (6 is TRIANGLE_FAN), which is not read (export triangles)"
-        )
+        raise ValueError(f"a primitive of mode {mode} (6: TRIANGLE_FAN), which is not read (use triangles)")
     used = [accessors[k] for k in (position, primitive.get("indices", position))]
     if any("sparse" in accessor for accessor in used):
         raise ValueError("sparse accessors, which are not read (export without them)")

@@ -218,9 +218,7 @@ def _guesses(found: Polygons, through: list[str], fill: bool) -> list[str]:
     count = len(found.footprints)
     unknown = sum(f.height_m is None for f in found.footprints)
     if unknown:
-        said.append(
-            f"{unknown} of {count} building heights are unknown: drawn by footprint area, 2.8 to 12 m"
-        )
+        said.append(f"{unknown} of {count} building heights are unknown: drawn by area, 2.8 to 12 m")
     if count:
         said.append(f"roofs, walls and windows of {count} buildings are drawn by rule")
     if fill:
