@@ -149,14 +149,10 @@ def _read_csv(path: Path) -> pd.DataFrame:
         *(f"{kind}_{end}" for kind in _OTHERS for end in ("id", "type", "lane", "edge")),
     )
     return read_csv(
-        path,
-        path.name,
-        separator=separator.decode(),
+        path, path.name, separator=separator.decode(),
         types=dict.fromkeys((*texts, "id", "type", "lane", "edge"), "str"),
-        only=lambda column: _column(column.strip()) in _COLUMNS,
-        comments=False,
-        most_bytes=None,
-    )
+        only=lambda column: _column(column.strip()) in _COLUMNS, comments=False, most_bytes=None,
+    )  # fmt: skip
 
 
 def _read_parquet(path: Path) -> pd.DataFrame:
