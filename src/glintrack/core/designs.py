@@ -21,15 +21,10 @@ from glintrack.core.units import number_hint, unit_of
 
 Model = TypeVar("Model", bound=BaseModel)
 MAX_DEPTH = 64  # of nested tables, and of dotted keys
-_SYNONYMS: Mapping[str, Sequence[str]] = read_data("words.toml")["keys"]  # other programs' for ours
+_WORDS = read_data("words.toml")
+_SYNONYMS: Mapping[str, Sequence[str]] = _WORDS["keys"]  # other programs' for ours
 _MISSPELT = 0.8  # similarity of two words, above which one is the other misspelt
-_REQUIREMENTS = {
-    **dict.fromkeys(("model_type", "dict_type"), "a table"),
-    **dict.fromkeys(("tuple_type", "list_type"), "a list"),
-    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
-    **dict.fromkeys(("float_type", "float_parsing"), "a number"),
-    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "a whole number"),
-}  # of pydantic's kinds of errors
+_REQUIREMENTS: Mapping[str, str] = _WORDS["requirements"]
 _COUNT = re.compile(r"(?:Tuple|List) should have (.+) after validation, not \d+")
 _CHOICE = re.compile(r"`[^`]+` must be (?:one of )?(?P<known>.+); got '(?P<got>[^']{1,60})'\.")
 _MAX_ERRORS, _MAX_READ = 10, 1000  # that are reported, and of which sentences are made
@@ -253,12 +248,7 @@ def _shorten(text: str, length: int = 100) -> str:
 
 
 _OWN_NAME = re.compile(r"; (?:the |one )?``\[+[\w.]+\]+``(?: table)?(?: of a case)?")
-_LIMIT_WORDS = {
-    "minimum": "≥ {:g}",
-    "exclusiveMinimum": "> {:g}",
-    "maximum": "≤ {:g}",
-    "exclusiveMaximum": "< {:g}",
-}
+_LIMIT_WORDS: Mapping[str, str] = _WORDS["limits"]
 _TYPE_WORDS = {"number": "", "integer": "whole", "boolean": "true | false", "string": "text"}
 
 

@@ -3,7 +3,7 @@
 import base64
 import io
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -14,7 +14,7 @@ import xarray as xr
 from PIL import Image
 
 from glintrack.case.design import Case
-from glintrack.core.installation import read_data
+from glintrack.core.installation import data_file, read_data
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import check_netcdf, read_bytes, read_json
 from glintrack.results.film import picture_name, validate_film
@@ -26,26 +26,7 @@ _MARKS = ("case.toml", "provenance.toml", "result.nc")
 SCORE_LABELS: Mapping[str, str] = read_data("page", "scores.toml")["run"]
 _SIDE = 640  # longest side of a card's picture [pixel]
 _DASH = "–"
-_CARD = """<div style="max-width:{{ side }}px"><strong>{{ result.name }}</strong>
-{% for note in result.notes %}<div style="border-left:4px solid #c25000;padding-left:8px">{{ note }}</div>
-{% endfor %}{% if result.verdict %}<p>{{ result.verdict }}</p>
-{% endif %}{% if rows %}<table><tr><th></th>
-{%- for name in result.scores %}<th>{{ name }}</th>{% endfor %}</tr>
-{% for label, values in rows %}<tr><th style="text-align:left;font-weight:normal">{{ label }}</th>
-{%- for value in values %}<td>{{ value }}</td>{% endfor %}</tr>
-{% endfor %}</table>
-{% endif %}{% if picture %}<img alt="tracks of {{ result.name }}" src="{{ picture }}" style="width:100%">
-{% endif %}<div>in <code>{{ result.path }}</code>; arrays: <code>.tree</code>, a page:
-<code>glintrack report</code></div></div>"""
-_PLACE = {"time_s", "east_m", "north_m"}
-_SPEED = {"east_speed_m_s", "north_speed_m_s"}
-# required columns of a table, by the last part of its path
-_REQUIRED = {
-    "tracks": _PLACE | _SPEED | {"track_id", "status"},
-    "truth": _PLACE | _SPEED | {"vehicle_id"},
-    "queries": _PLACE | {"track_id", "vehicle_id", "radiance", "wavelength"},
-    "vehicles": {"paint", "vehicle"},
-}
+_REQUIRED: Mapping[str, Sequence[str]] = read_data("schemas.toml")["columns"]
 T = TypeVar("T")
 
 
@@ -122,7 +103,8 @@ class Result:
         pictures = [picture_file(self.path, name) for name in (*self.channels, "rgb", "view_rgb")]
         path = next((path for path in pictures if path is not None), None)
         picture = "" if path is None else picture_url(path, _SIDE)
-        card = jinja2.Environment(autoescape=True).from_string(_CARD)
+        template = data_file("page", "card.html.j2").read_text(encoding="utf-8")
+        card = jinja2.Environment(autoescape=True).from_string(template)
         return card.render(result=self, rows=score_rows(self.scores), picture=picture, side=_SIDE)
 
 
@@ -281,7 +263,7 @@ def _remove_broken_tables(tree: xr.DataTree, notes: list[str]) -> xr.DataTree:
     nodes = {}
     for path, node in tree.subtree_with_keys:
         nodes[path] = node.to_dataset(inherit=False)
-        missing = _REQUIRED.get(path.rpartition("/")[2], set()) - set(map(str, nodes[path].variables))
+        missing = set(_REQUIRED.get(path.rpartition("/")[2], ())) - set(map(str, nodes[path].variables))
         if nodes[path].variables and missing:
             notes.append(
                 f"result.nc: the table {path} lacks {', '.join(sorted(missing))} and is not shown. "

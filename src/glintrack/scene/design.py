@@ -1,6 +1,6 @@
 """Design of a city, its files, seed and traffic: the ``[scene]`` table of a case."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from shapely import Polygon
 
 from glintrack.core.designs import Design
+from glintrack.core.installation import read_data
 from glintrack.core.records import Extent
 from glintrack.io.untrusted import resolve_path
 
@@ -19,15 +20,7 @@ DEFAULT_RELIEF_M = 6.0
 SHIPPED_DURATION_S = 120.0
 SUMO_PREFIX = "sumo:"
 _FILES = tuple(f"{name}_file" for name in ("net", "polygons", "osm", "mesh", "materials", "dem", "traffic"))
-# keys that belong to some cities only; every other key is for all of them
-_ONLY_FOR = {
-    **dict.fromkeys(("net_file", "polygons_file"), ("net",)),
-    "osm_file": ("osm",),
-    **dict.fromkeys(("mesh_file", "mesh_up", "mesh_unit_m"), ("mesh",)),
-    **dict.fromkeys(("centre_m", "fill_blocks", "left_hand"), ("net", "osm")),
-    "crs": ("net", "osm", "mesh"),
-    "traffic_file": ("embedded", "net", "osm", "mesh"),
-}
+_ONLY_FOR: Mapping[str, Sequence[str]] = read_data("cities.toml")["only_for"]
 _NEEDED = {"net": "net_file", "osm": "osm_file", "mesh": "mesh_file"}
 
 FileName = Annotated[str, Field(min_length=1)]

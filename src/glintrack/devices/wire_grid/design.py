@@ -6,6 +6,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from glintrack.core.designs import Design
+from glintrack.core.installation import read_data
 from glintrack.devices.optical_constants import MetalDesign
 
 _LONG_WAVES_UM = 0.8  # from here on fewer and simpler elements reach the same accuracy
@@ -102,13 +103,6 @@ class WireGridDesign(Design):
         return self.wire_width_nm * 1e-3 - max(self._flare_um, 0.0)
 
 
-_GRID_A = WireGridDesign()
-_GRID_B = WireGridDesign(period_nm=80, wire_width_nm=20, wire_height_nm=20, wires=125)
-_MEASURED = MetalDesign(model="lorentz-drude", name="aluminium")
-# the paper's two grids, in the paper's conductor and in aluminium as measured (Rakić 1998)
-PAPER_GRIDS: dict[str, WireGridDesign] = {
-    "grid_a": _GRID_A,
-    "grid_b": _GRID_B,
-    "grid_a_physical": _GRID_A.model_copy(update={"metal": _MEASURED}),
-    "grid_b_physical": _GRID_B.model_copy(update={"metal": _MEASURED}),
+PAPER_GRIDS = {
+    name: WireGridDesign(**keys) for name, keys in read_data("devices", "wire_grid.toml")["grids"].items()
 }

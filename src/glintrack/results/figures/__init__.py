@@ -9,21 +9,13 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
+from glintrack.core.installation import read_data
+
 RADIANCE, DOLP, AOP = "gray", "viridis", "twilight"  # safe for colour-blind eyes; AoP is cyclic
 # on the ground AoP is from the meridian, and 90°, level, the palest, as in every picture
 OF_CHANNEL: Mapping[str, str] = MappingProxyType({"pan": RADIANCE, "dolp": DOLP, "aop": f"{AOP}_shifted"})
 MAX_DOLP = 0.5  # drawn brightest
-# Of Okabe and Ito, safe for colour-blind eyes; the shape says the same. As on the page: film.js and page.css.
-MARKS: Mapping[str, str] = MappingProxyType(
-    {
-        "true": "#56b4e9",
-        "coast": "#f0e442",
-        "false": "#ff8a3d",
-        "other": "#d9dde2",
-        "missed": "#ff9fd2",
-        "hidden": "#e3e6ea",
-    }
-)
+MARKS: Mapping[str, str] = read_data("page", "scores.toml")["marks"]
 NO_DATA = "#606874"  # of a picture of the ground
 # lines by channel, as on the page; colour-blind eyes can tell them apart
 _STYLES = {"pan": ("#2f5fd0", "-"), "dolp": ("#b81a63", "--"), "all": ("#8a5a00", ":")}
