@@ -50,8 +50,3 @@ def _list_packaged() -> list[str]:
 
 def _is_study(name: str) -> bool:
     return "case" in read_toml(PACKAGED_CASES / f"{name}.toml", "case")  # a study names its base case
-
-
-def find_packaged_case(name: str) -> Path | None:
-    """File of the packaged case of a name; None if there is none."""
-    return PACKAGED_CASES / f"{name}.toml" if name in list_cases() else None

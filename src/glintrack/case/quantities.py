@@ -110,10 +110,8 @@ def view_quantities(case: Case) -> dict[str, float]:
     share = min(wide_m * high_m / scored_m2, 1.0)
     if scene.area != "footprint" and (scene.area is not None or share >= MIN_COVERED):
         found["footprint_share"] = share
-    beyond = (
-        max(abs(case.flight.stare_east_m) - east_m / 2, 0.0),
-        max(abs(case.flight.stare_north_m) - north_m / 2, 0.0),
-    )
+    stare = (case.flight.stare_east_m, east_m), (case.flight.stare_north_m, north_m)
+    beyond = [max(abs(place) - side / 2, 0.0) for place, side in stare]
     return found | {"beyond_window": math.hypot(*beyond) / (math.hypot(wide_m, high_m) / 2)}
 
 

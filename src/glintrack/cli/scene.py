@@ -55,7 +55,9 @@ def build(
     """Build a city from data, list the assumptions, write a case over it, and solve its sky."""
     atomic.check_new(output)
     cli.check_output(output)
-    given = [name for name, value in (("osm", osm), ("net", sumo_net), ("mesh", mesh)) if value]
+    files = {"osm": osm, "net": sumo_net, "mesh": mesh, "polygons": polygons, "materials": materials}
+    files |= {"dem": dem, "traffic": traffic}
+    given = [name for name in ("osm", "net", "mesh") if files[name]]
     if len(given) > 1:
         raise ValueError(
             f"`scene build` must get one of --osm, --sumo-net, --mesh; got {' and '.join(given)}."
@@ -65,13 +67,7 @@ def build(
         "seed": seed,
         "trees": trees,
         "fill_blocks": buildings,
-        "osm_file": _absolute(osm),
-        "net_file": _absolute(sumo_net),
-        "polygons_file": _absolute(polygons),
-        "mesh_file": _absolute(mesh),
-        "materials_file": _absolute(materials),
-        "dem_file": _absolute(dem),
-        "traffic_file": _absolute(traffic),
+        **{f"{name}_file": _absolute(file) for name, file in files.items()},
         "centre_m": centre,
         "crs": crs,
         "origin_m": origin,
@@ -90,8 +86,8 @@ def build(
         f'like = "quickstart"\n\n[atmosphere]\n{to_toml(place)}\n[scene]\n{to_toml(written)}'
     )
     atomic.write_text(output, text)
-    files = [name for key, name in written.model_dump().items() if key.endswith("_file") and name]
-    allowed = " --allow-outside-paths" if any(Path(name).is_absolute() for name in files) else ""
+    names = [name for key, name in written.model_dump().items() if key.endswith("_file") and name]
+    allowed = " --allow-outside-paths" if any(Path(name).is_absolute() for name in names) else ""
     console.print(
         f"wrote {output}: try `glintrack scene preview {output} -o view.png`, "
         f"`glintrack run {output}{allowed}`"

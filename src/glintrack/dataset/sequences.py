@@ -182,11 +182,8 @@ def match_positions(sequence: LabelledSequence, rows: pd.DataFrame, area: str) -
     labels = sequence.labels
     frames, asked = labels["frame"].to_numpy(int), labels["asked"].to_numpy(bool)
     label_m, place_m = (of[["east_m", "north_m"]].to_numpy(float) for of in (labels, rows))
-    found, track_id, is_false = (
-        np.zeros(len(labels), bool),
-        np.full(len(labels), -1),
-        np.zeros(len(rows), bool),
-    )
+    found, track_id = np.zeros(len(labels), bool), np.full(len(labels), -1)
+    is_false = np.zeros(len(rows), bool)
     for k in range(len(sequence.times_s)):
         row = np.flatnonzero(rows["frame"].to_numpy() == k)
         scored, ignored = (np.flatnonzero((frames == k) & (asked == flag)) for flag in (True, False))

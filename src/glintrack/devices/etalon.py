@@ -249,11 +249,7 @@ def _peak_and_width(design: EtalonDesign, gap_um: float, wavelength_um: float) -
     curve = _transmittance(design, np.array(gap_um), fine)
     near = np.flatnonzero(np.abs(fine - wavelength_um) <= 0.01 * wavelength_um)
     top = int(near[np.argmax(curve[near])])
-    whole = (
-        curve[[top]],
-        np.array([0]),
-        np.array([fine.size - 1]),
-    )  # half of the peak, not of its prominence
+    whole = curve[[top]], np.array([0]), np.array([fine.size - 1])  # half of the peak, not of its prominence
     (width,), _, (left,), (right,) = peak_widths(curve, [top], prominence_data=whole)
     is_inside = 0 < left and right < fine.size - 1
     return float(curve[top]), float(width * _FINE_STEP_UM) if is_inside else float("nan")

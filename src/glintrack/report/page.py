@@ -17,7 +17,7 @@ from markupsafe import Markup, escape
 from glintrack.bounds import STAGE_LABELS, STAGES_NOTE
 from glintrack.case.design import Case
 from glintrack.case.niirs import describe_niirs
-from glintrack.case.packaged import find_case, find_packaged_case
+from glintrack.case.packaged import find_case, list_cases
 from glintrack.core.installation import data_file, read_data
 from glintrack.report.page_data import budget_bars, page_data, plan
 from glintrack.results import read
@@ -214,10 +214,9 @@ def _base_case(case: Case | None, base: str | None) -> tuple[str, Case]:
     """Name and design to compare with."""
     if base is not None:
         return base, Case.from_toml(find_case(base))
-    packaged = find_packaged_case(case.name) if case is not None else None
-    if case is None or packaged is None:
+    if case is None or case.name not in list_cases():
         return DEFAULTS, Case()
-    return f"the packaged case {case.name}", Case.from_toml(packaged)
+    return f"the packaged case {case.name}", Case.from_name(case.name)
 
 
 def _niirs(case: Case) -> list[Markup]:

@@ -1,7 +1,6 @@
 """Build a city from a design, and evaluate its meshes, instances and traffic at any time."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -127,7 +126,7 @@ class City:
         """Evaluate the city at a time of the case. [s]"""
         ids, states = self._present(time_s)
         position = np.c_[states[:, :2], height_at(self.terrain, states[:, 0], states[:, 1])]
-        slope = None if self._is_level else slope_at(self.terrain, states[:, 0], states[:, 1])
+        slope = None if is_level(self.terrain) else slope_at(self.terrain, states[:, 0], states[:, 1])
         planted = self.planted
         return Snapshot(
             static=self.static,
@@ -176,10 +175,6 @@ class City:
     def duration_s(self) -> float:
         """Duration of the recorded traffic. [s]"""
         return self.traffic.duration_s
-
-    @cached_property
-    def _is_level(self) -> bool:
-        return is_level(self.terrain)
 
     def _present(self, time_s: float) -> tuple[Int[Array, "vehicle"], Float[Array, "vehicle 5"]]:
         ids, states = self.traffic.at(time_s)

@@ -25,6 +25,7 @@ from glintrack.stokes import linear_diattenuator, rotation_mueller
 APERTURE_SHARE = 10 / 15  # of the 15 µm port that the paper's Eq. (7) refers to: the aperture's width
 LARGEST_TRANSMITTANCE = 1.5  # a narrow aperture gathers some light from beside it, not this much
 _PRINCIPAL = ("pass_transmittance", "block_transmittance")
+_RANGE_UM = np.array([MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM])
 
 
 @dataclass(frozen=True)
@@ -203,17 +204,10 @@ def _of_matrices(table: xr.Dataset, name: str) -> Polarizer:
     return Polarizer(table["wavelength"].values.astype(float), matrices, angles)
 
 
-def _ideal(design: SensorDesign) -> Polarizer:
-    """Half of unpolarized light, all along the pass axis, nothing across it."""
-    return from_transmittances(np.array([MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM]), np.ones(2), np.zeros(2))
-
-
 def _constant(design: SensorDesign) -> Polarizer:
     """One transmittance and extinction ratio at all wavelengths."""
     passed = np.full(2, design.polarizer_transmittance)
-    return from_transmittances(
-        np.array([MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM]), passed, passed / design.polarizer_extinction_ratio
-    )
+    return from_transmittances(_RANGE_UM, passed, passed / design.polarizer_extinction_ratio)
 
 
 def _from_solver(design: SensorDesign) -> Polarizer:
@@ -222,9 +216,9 @@ def _from_solver(design: SensorDesign) -> Polarizer:
 
 
 MODELS: dict[str, Callable[[SensorDesign], Polarizer]] = {
-    "ideal": _ideal,
+    "ideal": lambda _: from_transmittances(_RANGE_UM, np.ones(2), np.zeros(2)),  # half of unpolarized light
     "constant": _constant,
-    **{name: _from_solver for name in PAPER_GRIDS},
+    **dict.fromkeys(PAPER_GRIDS, _from_solver),
 }
 
 

@@ -142,12 +142,7 @@ def _read_csv(path: Path) -> pd.DataFrame:
                     )
     except (OSError, EOFError, zlib.error) as error:
         raise ValueError(f"`{path.name}` must be SUMO's floating-car data as CSV; got {error}.") from error
-    texts = (
-        _ID,
-        _KIND,
-        *_PLACE,
-        *(f"{kind}_{end}" for kind in _OTHERS for end in ("id", "type", "lane", "edge")),
-    )
+    texts = (_ID, _KIND, *_PLACE, *(f"{k}_{end}" for k in _OTHERS for end in ("id", "type", "lane", "edge")))
     return read_csv(
         path, path.name, separator=separator.decode(),
         types=dict.fromkeys((*texts, "id", "type", "lane", "edge"), "str"),

@@ -150,15 +150,11 @@ def _tile_sums(start, stop, image, background, clip, sums):
     height, width = image.shape
     half = np.float32(0.5)
     for i in range(start, stop):
-        y0, y1 = (
-            max(1, int(i * height / sums.shape[0])),
-            min(height - 1, int((i + 1) * height / sums.shape[0])),
-        )
+        y0 = max(1, int(i * height / sums.shape[0]))
+        y1 = min(height - 1, int((i + 1) * height / sums.shape[0]))
         for j in range(sums.shape[1]):
-            x0, x1 = (
-                max(1, int(j * width / sums.shape[1])),
-                min(width - 1, int((j + 1) * width / sums.shape[1])),
-            )
+            x0 = max(1, int(j * width / sums.shape[1]))
+            x1 = min(width - 1, int((j + 1) * width / sums.shape[1]))
             rr = rc = cc = r = c = 0.0
             for y in range(y0, y1):
                 for x in range(x0, x1):
