@@ -80,11 +80,9 @@ def solve_in_worker(
     command = [sys.executable, "-m", "glintrack.atmosphere.assemble", str(request), str(answer)]
     command.append(str(threads or os.cpu_count() or 1))
     # OpenBLAS reads this when numpy loads: more threads double the solver's time
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    env = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     with (scratch / "errors.txt").open("w+", encoding="utf-8") as errors:
-        with subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=errors, text=True, env=environment
-        ) as process:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, env=env) as process:
             for line in process.stdout or ():
                 if progress is not None:
                     progress(float(line))

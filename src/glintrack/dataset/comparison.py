@@ -44,7 +44,7 @@ class Measured:
     @property
     def text(self) -> str:
         """Value and interval with 3 significant digits."""
-        value, low, high = map(_three_digits, (self.value, self.low, self.high))
+        value, low, high = (f"{float(f'{v:.3g}'):,g}" for v in (self.value, self.low, self.high))
         return f"{value} ({low} to {high})"
 
 
@@ -95,10 +95,6 @@ def measure(sequence: LabelledSequence, area: str) -> list[Measured]:
         *_measure_detections(sequence, detected, area),
         *_measure_tracks(sequence, tracked, area),
     ]
-
-
-def _three_digits(value: float) -> str:
-    return f"{float(f'{value:.3g}'):,g}"
 
 
 def comparison_table(measured: Mapping[str, Sequence[Measured]]) -> str:

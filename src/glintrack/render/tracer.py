@@ -288,7 +288,7 @@ def surface_model(
             origins = np.stack([x, np.full(columns, y_m), np.full(columns, top)], axis=1).astype(np.float32)
             reach = tracer.rays.intersect(origins, down).range_m
             height[row] = np.where(np.isfinite(reach), top - reach, 0.0)
-    metres = {"units": "m"}
+    unit = {"units": "m"}
     return xr.Dataset(
-        {"height": (("y", "x"), height, metres)}, coords={"y": ("y", y, metres), "x": ("x", x, metres)}
+        {"height": (("y", "x"), height, unit)}, coords={"y": ("y", y, unit), "x": ("x", x, unit)}
     )

@@ -9,7 +9,6 @@ import itertools
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +25,11 @@ from glintrack.scene.vehicles import VEHICLE_CLASSES
 _MAX_CLOCK_ERROR = 0.1  # of a step: times are rounded
 _MAX_DURATION_S = 1e6  # eleven days
 _MAX_NAMED_TYPES = 6
+# model of each word, `none` for no road vehicle, in groups of which the first that matches counts
+_GROUPS = [
+    {word: model for model, words in group.items() for word in words}
+    for group in read_data("traffic", "vehicle_types.toml")["groups"]
+]
 _WORD = re.compile(r"[^\W\d_][a-zà-ÿ]+|[^\W\d_a-zà-ÿ]+")
 _MIN_MOVE_M = 0.05  # of a step that shows a heading
 _MAX_DEGREES_PER_S, _MAX_TOWN_DEG = 0.005, 5.0  # 500 m/s; no vehicle in metres stays below 5 mm/s for ever
@@ -252,21 +256,13 @@ def model_of(vehicle_type: str) -> str | None:
     """
     if vehicle_type in VEHICLE_CLASSES:
         return vehicle_type
-    groups = _read_groups()
-    known = {word for models in groups for word in models}
+    known = {word for models in _GROUPS for word in models}
     bare = [word.lower().removesuffix("type") for word in _WORD.findall(vehicle_type)]  # SUMO's end in it
     words = [word.removesuffix("s") if word.removesuffix("s") in known else word for word in bare]
     pairs = [first + second for first, second in itertools.pairwise(["", *words])]  # motor bike, cable car
     found = [pair if pair in known else word for pair, word in zip(pairs, words, strict=True)]
-    for models in groups:
+    for models in _GROUPS:
         for word in reversed(found):
             if word in models:
                 return None if models[word] == "none" else models[word]
     return "car"
-
-
-@cache
-def _read_groups() -> list[dict[str, str]]:
-    """Model of each word, ``none`` for no road vehicle, in groups of which the first that matches counts."""
-    groups = read_data("traffic", "vehicle_types.toml")["groups"]
-    return [{word: model for model, words in group.items() for word in words} for group in groups]

@@ -8,7 +8,6 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +31,8 @@ _FEET = re.compile(
 )
 _MAX_HEIGHT_M = 900.0
 TOO_SMALL = "smaller than 8 m²"
+# kinds of ground, each with OpenStreetMap's keys and values
+_GROUNDS: Mapping[str, Mapping[str, list[str]]] = read_data("traffic", "grounds.toml")
 _GONE = ("demolished", "razed", "removed", "destroyed", "collapsed", "proposed", "planned")
 _CHUNK = 256  # shapes of one query
 _MAX_MEAN_NEAR, _MAX_NEAR = 50, 100_000  # touching boxes per building on average, and in a small file
@@ -105,12 +106,6 @@ def area_parts(shape: BaseGeometry) -> list[Polygon]:
     return [part for part in polygons(shape) if part.area > _MIN_FOOTPRINT_M2]
 
 
-@cache
-def _read_grounds() -> dict[str, dict[str, list[str]]]:
-    """Kinds of ground, each with OpenStreetMap's keys and values."""
-    return read_data("traffic", "grounds.toml")
-
-
 def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
     """Kind of an area by OpenStreetMap's tags, None if it is none, and why it is left out."""
     building = tags.get("building", "no")
@@ -121,8 +116,9 @@ def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
     if "building" in tags:
         kind = "building"
     else:
-        grounds = _read_grounds().items()
-        kind = next((k for k, keys in grounds if any(tags.get(key) in keys[key] for key in keys)), None)
+        kind = next(
+            (k for k, keys in _GROUNDS.items() if any(tags.get(key) in keys[key] for key in keys)), None
+        )
     if kind is None:
         return None, ""
     if kind == "building" and building == "no":

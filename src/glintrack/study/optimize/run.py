@@ -73,9 +73,7 @@ class StudyRunner:
             for label, _, _ in conditions:
                 row = self.rows.setdefault((design, duration_s, label), {})
                 row |= {city: next(keys) for city in cities}
-        return np.array(
-            [[self._scores(design, city, duration_s) for city in cities] for design in designs], float
-        )
+        return np.array([[self._scores(d, city, duration_s) for city in cities] for d in designs], float)
 
     def _scores(self, design: int, city: int, duration_s: float) -> list[float]:
         out = []

@@ -77,19 +77,16 @@ def bin_mosaic(mosaic: Mosaic, factor: int) -> Mosaic:
     for i in range(side):
         for j in range(side):
             own = slice(i, None, side), slice(j, None, side)
-            size, first = electrons[own].shape, [_first(k, side, factor) for k in (i, j)]
-            blocks = [_blocks(one[own], first, size, factor) for one in (mosaic.electrons, mosaic.sigma_e)]
+            # among its kind, the first whose block is centred on the first binned element
+            first = [round((factor - 1) * (2 * k + 1 - side) / (2 * side)) for k in (i, j)]
+            size, both = electrons[own].shape, (mosaic.electrons, mosaic.sigma_e)
+            blocks = [_blocks(one[own], first, size, factor) for one in both]
             known = np.isfinite(blocks[0])
             count = known.sum(axis=(1, 3), dtype=np.float32)
             with np.errstate(invalid="ignore", divide="ignore"):
                 electrons[own] = np.where(known, blocks[0], 0).sum(axis=(1, 3)) / count
                 sigma_e[own] = np.sqrt(np.where(known, blocks[1] ** 2, 0).sum(axis=(1, 3))) / count
     return replace(mosaic, electrons=electrons, sigma_e=sigma_e)
-
-
-def _first(place: int, side: int, factor: int) -> int:
-    """First element of a kind, counted among its kind, whose block is centred on the first binned element."""
-    return round((factor - 1) * (2 * place + 1 - side) / (2 * side))
 
 
 def _blocks(
