@@ -164,12 +164,9 @@ class _LabelledWriter:
     def __init__(self, layout: RasterLayout):
         self.layout = layout
         rows, channels = layout.block
-        sizes = {
-            layout.component_dim: (len(layout.components),) * 2,
-            layout.channel_dim: (len(layout.channels), min(channels, len(layout.channels))),
-            "y": (layout.rows, min(rows, layout.rows)),
-            "x": (layout.columns,) * 2,
-        }
+        sizes = {layout.component_dim: (len(layout.components),) * 2, "x": (layout.columns,) * 2}
+        sizes[layout.channel_dim] = len(layout.channels), min(channels, len(layout.channels))
+        sizes["y"] = layout.rows, min(rows, layout.rows)
         mapping = {} if layout.place is None else {"grid_mapping": "spatial_ref"}
         self.attributes = _attributes(layout) | mapping
         self.shape, self.chunks = zip(*(sizes[dim] for dim in layout.dims), strict=True)
@@ -177,12 +174,8 @@ class _LabelledWriter:
     def write(self, row: int, channel: int, values: Float[Array, "component channel y x"]) -> None:
         """Write a block whose first row and channel are given."""
         _, channels, rows, _ = values.shape
-        at = {
-            self.layout.component_dim: slice(None),
-            self.layout.channel_dim: slice(channel, channel + channels),
-            "y": slice(row, row + rows),
-            "x": slice(None),
-        }
+        at = {self.layout.component_dim: slice(None), "y": slice(row, row + rows), "x": slice(None)}
+        at[self.layout.channel_dim] = slice(channel, channel + channels)
         gone = tuple(k for k in (0, 1) if not (self.layout.component_dim, self.layout.channel_dim)[k])
         self.array[tuple(at[dim] for dim in self.layout.dims)] = np.squeeze(values, gone).astype(np.float32)
 

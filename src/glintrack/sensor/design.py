@@ -300,10 +300,8 @@ class SensorDesign(Design):
     @property
     def field_of_view_deg(self) -> tuple[float, float]:
         """Field of view across columns and rows. [deg]"""
-        columns, rows = (
-            2 * math.degrees(math.atan(n / 2 * self.pitch_m / self.focal_length_m))
-            for n in (self.columns, self.rows)
-        )
+        tangents = (n / 2 * self.pitch_m / self.focal_length_m for n in (self.columns, self.rows))
+        columns, rows = (2 * math.degrees(math.atan(half)) for half in tangents)
         return columns, rows
 
     @property

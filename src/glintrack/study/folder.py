@@ -98,8 +98,7 @@ class StudyFolder:
             return
         if not self.path.is_dir():
             raise ValueError(f"`output` must be a folder; got the file {self.path}.")
-        names = {p.name for p in self.path.iterdir()} - {".lock", "cases"}
-        if not names:
+        if not {p.name for p in self.path.iterdir()} - {".lock", "cases"}:
             return
         head = self.head()
         if head["glintrack"] != version("glintrack"):
@@ -238,13 +237,8 @@ def provenance(plan: Plan) -> dict[str, Any]:
     """Provenance of the results, the same on every host."""
     design = plan.design.model_dump(mode="json", exclude_none=True)
     axes = list(dict.fromkeys(name for point in plan.points for name in point.levels))
-    return {
-        "study": plan.key,
-        "glintrack": version("glintrack"),
-        "source": source_key(),
-        "axes": axes,
-        "design": design,
-    }
+    of = {"study": plan.key, "glintrack": version("glintrack"), "source": source_key()}
+    return {**of, "axes": axes, "design": design}
 
 
 def write_results(plan: Plan, folder: StudyFolder) -> pd.DataFrame:

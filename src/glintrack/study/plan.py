@@ -33,6 +33,7 @@ _PACKAGE = Path(__file__).parents[1]
 # parts that show results or run cases, and do not influence scores
 _SHOWS_ONLY = ("cli", "results/figures", "report", "study", "data/cases", "data/page")
 _SIMULATES = ("study/workers.py",)
+Levels = dict[str, designs.Level]
 
 
 @dataclass(frozen=True)
@@ -153,11 +154,9 @@ def build_plan(design: designs.StudyDesign, base: Path, inside: Sequence[Path] |
     return Plan(design, axes, tuple(points), cases, content_hash(json.dumps(content, sort_keys=True), 20))
 
 
-def _rows(
-    design: designs.StudyDesign, axes: tuple[designs.Axis, ...]
-) -> list[tuple[dict[str, designs.Level], dict[str, Any]]]:
+def _rows(design: designs.StudyDesign, axes: tuple[designs.Axis, ...]) -> list[tuple[Levels, dict[str, Any]]]:
     """Labels and keys of each point."""
-    rows: list[tuple[dict[str, designs.Level], dict[str, Any]]] = []
+    rows: list[tuple[Levels, dict[str, Any]]] = []
     for index, table in enumerate(design.cases):
         keys = designs.flat(table)
         label = str(keys.pop("label", index))
@@ -337,12 +336,10 @@ def digest(parts: Iterable[str | Path], packages: Iterable[str], without: Iterab
     found: list[str | bytes] = []
     for part in sorted(_PACKAGE / one for one in parts):
         for file in sorted(part.rglob("*")) if part.is_dir() else [part]:
-            if not file.is_file() or "__pycache__" in file.parts:
-                continue
-            if file != part and left_out & {file, *file.parents}:
-                continue
-            found.append(f"{file.relative_to(_PACKAGE).as_posix()} ")
-            found.append(bytes.fromhex(content_hash(file.read_bytes())))
+            skipped = "__pycache__" in file.parts or (file != part and left_out & {file, *file.parents})
+            if file.is_file() and not skipped:
+                found.append(f"{file.relative_to(_PACKAGE).as_posix()} ")
+                found.append(bytes.fromhex(content_hash(file.read_bytes())))
     for name in packages:
         try:
             found.append(f"{name} {version(name)}")
