@@ -173,12 +173,9 @@ def _scratch(frame):
 @nb.njit(cache=True, forceinline=True)
 def _bases(lit, components):
     return Bases(
-        lit,
-        np.full(lit.shape[1], -1),
-        np.empty(lit.shape[1:], np.float32),
-        np.zeros(lit.shape[2], np.float32),
-        np.empty(components, np.float32),
-    )
+        lit, np.full(lit.shape[1], -1), np.empty(lit.shape[1:], np.float32),
+        np.zeros(lit.shape[2], np.float32), np.empty(components, np.float32),
+    )  # fmt: skip
 
 
 @nb.njit(cache=True, forceinline=True)

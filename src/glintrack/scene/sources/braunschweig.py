@@ -74,12 +74,9 @@ def _layout(
     built = unary_union([b.footprint for b in buildings])
     parked = pavement_parking(network, streets.carriageway, built, area, parking_rng)
     return Layout(
-        streets,
-        tuple(yards(blocks(streets, area), built, ground_rng)),
-        buildings,
-        tuple(garden_trees(network, streets.all, built, area, tree_rng)),
-        tuple(parked),
-    )
+        streets, tuple(yards(blocks(streets, area), built, ground_rng)), buildings,
+        tuple(garden_trees(network, streets.all, built, area, tree_rng)), tuple(parked),
+    )  # fmt: skip
 
 
 def footprints() -> list[tuple[Polygon, float]]:
