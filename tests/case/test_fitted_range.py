@@ -2,8 +2,9 @@
 
 import pytest
 
-from glintrack.case.check import assess_case, describe_binning, describe_initiation
+from glintrack.case.check import assess_case
 from glintrack.case.design import Case
+from glintrack.case.fitted_range import describe_binning, describe_initiation
 from glintrack.case.packaged import find_case, list_cases
 
 

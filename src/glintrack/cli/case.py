@@ -15,12 +15,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from glintrack.case import check as checks
 from glintrack.case.advice import conclude
 from glintrack.case.area import describe_window
 from glintrack.case.build import check_place
+from glintrack.case.check import ANSWERS, Judgement, assess_case
 from glintrack.case.data_sheet import Polarizers, case_text
 from glintrack.case.design import Case
+from glintrack.case.fitted_range import describe_array, describe_binning, describe_initiation
 from glintrack.case.niirs import describe_niirs
 from glintrack.case.packaged import find_case, list_cases, list_studies
 from glintrack.case.quantities import CITY_SPEED_M_S, describe_time, fastest_speed_m_s
@@ -69,7 +70,7 @@ def check(
         check_place(design.atmosphere, city)
         recording_duration_s, fastest_m_s = city.duration_s, fastest_speed_m_s(city, flight)
     check_recorded(flight, recording_duration_s)
-    judgements = checks.assess_case(design, fastest_m_s=fastest_m_s)
+    judgements = assess_case(design, fastest_m_s=fastest_m_s)
     count = Counter(one.answer for one in judgements)
     if as_json:
         print(json.dumps([one.record() for one in judgements], indent=2, ensure_ascii=False))
@@ -81,11 +82,11 @@ def check(
             *(f"derived: {value}" for value in derived_values(design.sensor).values()),
             describe_niirs(design),
             describe_window(design),
-            checks.describe_array(design),
-            *checks.describe_binning(design),
-            checks.describe_initiation(design),
+            describe_array(design),
+            *describe_binning(design),
+            describe_initiation(design),
             describe_time(design),
-            ", ".join(f"{count[answer]} {answer}" for answer in checks.ANSWERS if count[answer]),
+            ", ".join(f"{count[answer]} {answer}" for answer in ANSWERS if count[answer]),
         ):
             console.print(line)
         worst = max(judgements, key=lambda one: one.rank).answer
@@ -95,7 +96,7 @@ def check(
         raise typer.Exit(cli.EXIT_CODES["no"])
 
 
-def print_judgements(console: Console, judgements: Sequence[checks.Judgement]) -> None:
+def print_judgements(console: Console, judgements: Sequence[Judgement]) -> None:
     """Print a table of judgements, and below it the reasons of those that are not good."""
     headings = ["quantity", "value", "judgement", "good is"]
     if any(one.view for one in judgements):
