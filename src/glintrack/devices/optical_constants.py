@@ -6,6 +6,7 @@ model.
 """
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Self
 
@@ -24,6 +25,20 @@ MetalName = Literal["aluminium", "silver", "gold"]
 PAPER_ALUMINIUM_S_PER_M = 35.6e6  # Presnar et al. (2010), §3.1
 _MAX_INDEX = 1e4  # of n and k: aluminium reaches 200 at 30 µm
 _EV_UM = h * c / e * 1e6  # photon energy [eV] times wavelength [µm]
+
+
+@dataclass(frozen=True)
+class LorentzDrude:
+    """Plasma frequency ħω_p [eV], f [1], ħΓ [eV] and ħω [eV] of each oscillator, and range of the fit [µm].
+
+    The first oscillator is the free electrons (frequency 0).
+    """
+
+    plasma_ev: float
+    strength: tuple[float, ...]
+    damping_ev: tuple[float, ...]
+    frequency_ev: tuple[float, ...]
+    range_um: tuple[float, float]
 
 
 class MetalDesign(Design):
@@ -85,14 +100,14 @@ def permittivity(metal: MetalDesign, wavelength_um: ArrayLike) -> Complex[Array,
         _check_range(wavelength_um, (table_um[0], table_um[-1]), metal.table.name)
         n, k = (np.interp(wavelength_um, table_um, table[name]) for name in ("n", "k"))
         return (n + 1j * k) ** 2
-    model = read_data("devices", "lorentz_drude.toml")[metal.name]
-    _check_range(wavelength_um, model["range_um"], f"the Lorentz–Drude model of {metal.name}")
+    model = LorentzDrude(**read_data("devices", "lorentz_drude.toml")[metal.name])
+    _check_range(wavelength_um, model.range_um, f"the Lorentz–Drude model of {metal.name}")
     energy = _EV_UM / wavelength_um
     eps = np.ones(energy.shape, dtype=complex)
-    # a free electron is an oscillator of frequency 0
-    for oscillator in zip(model["strength"], model["damping_ev"], model["frequency_ev"], strict=True):
-        strength, damping, frequency = oscillator
-        eps = eps + strength * model["plasma_ev"] ** 2 / (frequency**2 - energy**2 - 1j * energy * damping)
+    for strength, damping, frequency in zip(
+        model.strength, model.damping_ev, model.frequency_ev, strict=True
+    ):
+        eps = eps + strength * model.plasma_ev**2 / (frequency**2 - energy**2 - 1j * energy * damping)
     return eps
 
 
