@@ -84,7 +84,7 @@ def test_show_takes_a_detector_of_the_catalogue_with_its_sources(glintrack):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("show", "nikon"), "`sensor` must be a packaged sensor, a packaged case or a TOML file; got nikon"),
+        (("show", "nikon"), "`sensor` must be a packaged sensor or case, or a TOML file; got nikon"),
         (("show", "quikstart"), "Did you mean `quickstart`?"),
         (("show", "pan", "--mtf", "plot.pdf"), "`--mtf` must end in .png"),
         (("ghosts", "relay", "--pitch-um", "1e308"), "`--pitch-um` must be less than or equal to 1000000 µm"),

@@ -283,9 +283,7 @@ def read_table(model: type[Located], name: str, table: str, key: str, packaged: 
         return validate_design(model, {key: name})
     if is_name and not Path(name).suffix and name not in list_cases():
         hint = suggest_name(name, [*packaged, *list_cases()])
-        raise ValueError(
-            f"`{table}` must be a packaged {table}, a packaged case or a TOML file; got {name}. {hint}"
-        )
+        raise ValueError(f"`{table}` must be a packaged {table} or case, or a TOML file; got {name}. {hint}")
     path = find_case(name)
     values = over_like(read_toml(path, table)).get(table)
     if not isinstance(values, dict):

@@ -2,16 +2,14 @@
 
 import math
 import re
+from collections.abc import Mapping
+
+from glintrack.core.installation import read_data
 
 _COMMA = re.compile(r"([-+]?\d+),(\d+)(?![\d.,])")
 _WITH_UNIT = re.compile(r"[-+]?\d[\d.,]*\s*(?!e[-+]?\d+$)(?:[^\W\d_]\S{0,9}|[°%])", re.IGNORECASE)
 
-_UNITS = {  # the first that a name ends in counts
-    **{"_m_s2": "m/s²", "_m2_s3": "m²/s³", "_m_s": "m/s", "_e_per_s": "e/s", "_e_per_count": "e/count"},
-    **{"_deg_s": "°/s", "density_m2": "1/m²", "_m2": "m²", "_um": "µm", "_hz": "Hz", "_deg": "°"},
-    **{f"_{unit}": unit for unit in ("km", "cm", "mm", "nm", "m", "ms", "s", "h", "mrad", "rad", "e")},
-    **{"_urad": "µrad", "_du": "DU"},
-}
+_UNITS: Mapping[str, str] = read_data("words.toml")["units"]  # the first that a name ends in counts
 
 
 def unit_of(name: str) -> str:

@@ -205,9 +205,7 @@ def write_kml(layer: Layer, place: TrackGeoreference) -> bytes:
     key = id_column(layer.table)
     columns = [name for name in layer.table if name not in _DATES]
     types = (_KML_TYPES.get(layer.table[name].dtype.kind, "string") for name in columns)
-    fields = "".join(
-        f'<SimpleField type="{kind}" name="{name}"/>' for kind, name in zip(types, columns, strict=True)
-    )
+    fields = "".join(f'<SimpleField type="{k}" name="{n}"/>' for k, n in zip(types, columns, strict=True))
     pieces = [
         '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>',
         f"<name>{key.removesuffix('_id')}s</name><description>{html.escape(_about(place))}</description>",

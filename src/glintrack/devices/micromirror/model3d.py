@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from shapely import LineString, box
 
 from glintrack.core.arrays import Array
+from glintrack.core.installation import read_data
 from glintrack.devices.micromirror.equilibrium import ELECTRODE_ANGLES_RAD, MicromirrorDesign
 from glintrack.devices.wire_grid.design import WireGridDesign
 from glintrack.io.gltf import Document
@@ -20,13 +21,6 @@ _BOX_FACES = np.array(
 )
 _ROUND = 32  # corners of a disc
 _SUBSTRATE, _METAL, _MIRROR, _ELECTRODE, _SPRING = range(5)
-_COLOURS = [
-    ("silicon", (0.32, 0.34, 0.40), 0.0, 0.6),
-    ("aluminium", (0.80, 0.81, 0.83), 1.0, 0.35),
-    ("silver mirror", (0.97, 0.96, 0.93), 1.0, 0.05),
-    ("electrode", (0.95, 0.72, 0.25), 1.0, 0.4),
-    ("spring", (0.45, 0.55, 0.75), 1.0, 0.4),
-]
 
 
 def superpixel_glb(
@@ -55,7 +49,7 @@ def superpixel_glb(
             f"{grid.aperture_um:g} µm; got {pitch_um:g}."
         )
     document = Document()
-    for name, colour, metallic, rough in _COLOURS:
+    for name, colour, metallic, rough in read_data("devices", "superpixel.toml")["materials"]:
         document.add_material(name, np.array(colour), metallic, rough)
     base = _box(0, 0, -1.0, 2 * pitch_um, 2 * pitch_um, 1.0)
     _add_node(document, "substrate", [(base, _SUBSTRATE)], 0.0, 0.0)

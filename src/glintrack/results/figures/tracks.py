@@ -1,5 +1,7 @@
 """Figures of rectified frames with tracks; every function draws on a matplotlib Axes."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
@@ -8,19 +10,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from glintrack.core.arrays import Array
+from glintrack.core.installation import read_data
 from glintrack.core.records import Extent
 from glintrack.core.schema import CHANNEL_WORDS
 from glintrack.results.figures import DOLP, LOOP_STYLES, MARKS, MAX_DOLP, NO_DATA, RADIANCE, label_axes
 
 QUERY_COLOUR = "#dc267f"
-# kind -> shape, area [pt²], label
-_SHAPES = {
-    "true": ("o", 26, "true track"),
-    "coast": ("D", 24, "true track, coasting"),
-    "false": ("^", 30, "false track"),
-    "other": ("o", 12, "track of a standing vehicle"),
-    "missed": ("x", 16, "moving vehicle missed"),
-}
+_SHAPES: Mapping[str, tuple[str, int, str]] = read_data("page", "scores.toml")["shapes"]
 _OUTLINE: list[AbstractPathEffect] = [withStroke(linewidth=2.4, foreground=(0, 0, 0, 0.65))]
 
 
