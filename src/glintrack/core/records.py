@@ -219,7 +219,5 @@ class Rows:
 
     def to_dataset(self) -> xr.Dataset:
         """All rows in their order, attributes as in the first epoch; an empty Dataset without epochs."""
-        options: dict[str, Any] = {"data_vars": "minimal", "coords": "minimal", "compat": "override"}
-        return (
-            xr.concat(self.parts, "row", combine_attrs="override", **options) if self.parts else xr.Dataset()
-        )
+        how: dict[str, Any] = {"data_vars": "minimal", "coords": "minimal", "compat": "override"}
+        return xr.concat(self.parts, "row", combine_attrs="override", **how) if self.parts else xr.Dataset()

@@ -95,9 +95,8 @@ class Flight:
         low, high = JITTER_HZ
         rng = np.random.default_rng(np.random.SeedSequence(entropy=self.seed, spawn_key=(1 << 20,)))
         # one tone in each of equal parts of the band, at random, so that the sum has no short period
-        tone = (
-            low + (high - low) * (np.arange(_JITTER_TONES) + rng.random((2, _JITTER_TONES))) / _JITTER_TONES
-        )
+        part = np.arange(_JITTER_TONES) + rng.random((2, _JITTER_TONES))
+        tone = low + (high - low) * part / _JITTER_TONES
         phase = rng.uniform(0, 2 * math.pi, (2, _JITTER_TONES))
         waves = np.cos(2 * math.pi * tone * time_s + phase).sum(axis=1)
         right, up = 1e-6 * self.design.jitter_rms_urad * math.sqrt(2 / _JITTER_TONES) * waves

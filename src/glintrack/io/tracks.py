@@ -116,10 +116,8 @@ def read_mot(path: Path, name: str, rate_hz: float | None, grid: Geotransform | 
     """
     text = read_text(path, name)
     try:
-        comma = "," if "," in text else None
-        values = (
-            np.loadtxt(text.splitlines(), delimiter=comma, ndmin=2) if text.strip() else np.empty((0, 10))
-        )
+        sep = "," if "," in text else None
+        values = np.loadtxt(text.splitlines(), delimiter=sep, ndmin=2) if text.strip() else np.empty((0, 10))
     except ValueError as error:
         raise ValueError(f"`{name}` must be MOTChallenge text of numbers; got {path}: {error}") from error
     columns, boxes = values.shape[1], values[:, :6]

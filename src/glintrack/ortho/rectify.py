@@ -64,12 +64,10 @@ class GridCells(NamedTuple):
 
     def clip(self, place: Float[Array, "3"]) -> Float[Array, "3"]:
         """Clip a place to the grid's corners; the middle of the grid if it is NaN. [m]"""
-        found = [*place[:2], self.middle_height_m]
+        found, is_known = [*place[:2], self.middle_height_m], np.isfinite(place).all()
         for axis, values in enumerate((self.east, self.north)):
             ends = sorted((float(values[0, 0]), float(values[-1, -1])))
-            found[axis] = (
-                min(max(found[axis], ends[0]), ends[1]) if np.isfinite(place).all() else sum(ends) / 2
-            )
+            found[axis] = min(max(found[axis], ends[0]), ends[1]) if is_known else sum(ends) / 2
         return np.array(found, dtype=float)
 
     @classmethod

@@ -171,9 +171,8 @@ def _track_rows(rows: xr.Dataset, times_s: Array, middle: tuple) -> dict:
     rows, per = _in_time(rows, times_s)
     nothing = np.full(rows.sizes["row"], -1)
     get = {k: rows[k].values if k in rows else nothing for k in ("vehicle_id", "valid", "false", "status")}
-    flags = (
-        np.isin(get["status"], ["coasted", "stopped"]) * 1 + (get["valid"] > 0) * 2 + (get["false"] > 0) * 4
-    )
+    coasts = np.isin(get["status"], ["coasted", "stopped"])
+    flags = coasts * 1 + (get["valid"] > 0) * 2 + (get["false"] > 0) * 4
     return {
         "count": rows.sizes["row"], "per": per, "id": _integers(rows["track_id"].values),
         "vehicle": _integers(get["vehicle_id"]), "flags": encode(flags, "u1"), **_places(rows, middle),

@@ -141,10 +141,8 @@ def _predictions(
     """Axes and predictors for the page's program; None without any."""
     if optimization is not None:
         axes = [axis.model_dump() for axis in optimization.axes]
-        found = [
-            {**p.process, "label": p.label, "logarithmic": p.logarithmic} for p in optimization.predictors
-        ]
-        return {"axes": axes, "predictors": found, "deviate": INTERVAL_DEVIATE, "word": WORD_DISTANCE}
+        own = [{**p.process, "label": p.label, "logarithmic": p.logarithmic} for p in optimization.predictors]
+        return {"axes": axes, "predictors": own, "deviate": INTERVAL_DEVIATE, "word": WORD_DISTANCE}
     surfaces = response_surfaces(table, source)
     if not surfaces:
         return None

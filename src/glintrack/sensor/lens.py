@@ -295,9 +295,8 @@ def _objects(
     low, high = fields.min(axis=0), fields.max(axis=0)
     low[0], high[0] = min(low[0], -high[0]), max(high[0], -low[0])  # a prescription is even in x
     middle, step = (low + high) / 2, 1e-3 * max(np.ptp(fields), 1.0)
-    near, *_ = image_of(
-        lens, middle + np.array([[-step, 0], [step, 0], [0, -step], [0, step]]), wavelength_um
-    )
+    around = middle + np.array([[-step, 0], [step, 0], [0, -step], [0, step]])
+    near, *_ = image_of(lens, around, wavelength_um)
     magnification = float((near[1, 0] - near[0, 0] + near[3, 1] - near[2, 1]) / (4 * step))
     half = np.array([design.columns, design.rows]) / 2 * design.pitch_um * 1e-3
     reach = half / abs(magnification)

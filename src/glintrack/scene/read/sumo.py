@@ -369,13 +369,11 @@ def call_sumo(home: Path, folder: Path, command: list[str]) -> None:
     ValueError
         If the program fails; the message has its last lines.
     """
-    environment = {**os.environ, "SUMO_HOME": str(home), "PROJ_LIB": str(home / "data" / "proj")}
-    environment.pop("PROJ_DATA", None)  # SUMO's own PROJ reads PROJ_LIB and stumbles over a newer PROJ_DATA
+    env = {**os.environ, "SUMO_HOME": str(home), "PROJ_LIB": str(home / "data" / "proj")}
+    env.pop("PROJ_DATA", None)  # SUMO's own PROJ reads PROJ_LIB and stumbles over a newer PROJ_DATA
     program = Path(command[1] if command[0] == sys.executable else command[0]).name
     try:
-        done = subprocess.run(
-            command, cwd=folder, env=environment, capture_output=True, text=True, check=False
-        )
+        done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
     except OSError as error:
         raise MissingExtraError(f"`{program}` of SUMO must be runnable; got {error}.") from error
     if done.returncode == 0:

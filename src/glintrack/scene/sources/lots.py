@@ -115,9 +115,8 @@ def parking_rows(
         near = -width / 2 + band * module
         rows = ((near, -1.0), (near + _STALL_M[1] + _AISLE_M, 1.0))
         if aisles_outside and width < module:
-            rows = (
-                ((-_STALL_M[1], 1.0), (0.0, -1.0)) if width > 2 * _STALL_M[1] else ((-_STALL_M[1] / 2, 1.0),)
-            )
+            is_wide = width > 2 * _STALL_M[1]
+            rows = ((-_STALL_M[1], 1.0), (0.0, -1.0)) if is_wide else ((-_STALL_M[1] / 2, 1.0),)
         for row, facing in rows:
             for k in range(int(length / _STALL_M[0])):
                 start = -length / 2 + k * _STALL_M[0]
