@@ -11,13 +11,13 @@ from tests.study.cases import TWELVE, cheap, write_study
 
 @pytest.fixture
 def cheap_cases(monkeypatch):
-    whole = study_command.run_study
+    whole = study_command.studies.run_study
 
     def run(plan, folder, pool, cache, callback):
         cache.mkdir(exist_ok=True)
         return whole(plan, folder, pool, cache, cheap, callback)
 
-    monkeypatch.setattr(study_command, "run_study", run)
+    monkeypatch.setattr(study_command.studies, "run_study", run)
 
 
 def invoke(*arguments):

@@ -15,14 +15,14 @@ from tests.study.optimize.cameras import SPEC, camera, true_scores, write_spec
 
 @pytest.fixture
 def cheap_cases(monkeypatch):
-    whole = command.run_search
+    whole = command.search.run_search
 
     def run(runner):
         runner.simulate = camera
         runner.cache.mkdir(exist_ok=True)
         return whole(runner)
 
-    monkeypatch.setattr(command, "run_search", run)
+    monkeypatch.setattr(command.search, "run_search", run)
 
 
 def invoke(*arguments):
