@@ -146,7 +146,7 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
         ),
         ("seeds = [1]\nreplicates = [{seed = 2}]\n[axes]\nsensor.pitch_um = [17]", "together with"),
         ("replicates = 2\n[axes]\nsensor.pitch_um = [17]", "For replicates that differ in noise"),
-        ("[axes]\nsensor.pitch_um = [17]\nsize = [{label = 'a', sensor.pitch_um = 8}]", "as `axes.sensor.pitch_um` does"),
+        ("[axes]\nsensor.pitch_um = [17]\nsize = [{label = 'a', sensor.pitch_um = 8}]", "as `axes."),
         ("[axes]\nsize = [{sensor.pitch_um = 8}]", "a `label`"),
         ("[axes]\nstatus = [{label = 'a', seed = 1}]", "must not be named as a column"),
         ("case = 'twice'", "valid TOML"),

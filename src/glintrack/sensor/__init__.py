@@ -32,6 +32,7 @@ __all__ = [
     "design_names", "expose", "fill_dark_mirrors", "frame_of", "ghosts", "image_motion", "lens_quality",
     "light_on_elements", "load_polarizer", "measure_polarization", "measure_spectra", "modulation_transfer",
     "mosaic_of", "navigate", "navigation_errors", "next_exposure_ms", "noise_equivalent_radiance",
-    "noiseless_frame", "noiseless_spectra", "photo_electrons", "read_analysers", "read_lens", "read_out",
-    "read_presets", "response_curves", "serve", "smear", "with_exposure", "with_lens", "with_window",
+    "noiseless_frame", "noiseless_spectra", "photo_electrons", "read_analysers", "read_arrays", "read_lens",
+    "read_out", "read_presets", "response_curves", "serve", "smear", "with_exposure", "with_lens",
+    "with_window",
 ]  # fmt: skip
