@@ -127,9 +127,11 @@ def assemble_tables(
     gases = gas.path_transmittance(amounts, height, d.altitude_m, d.view_zenith, design.wavelength_um)
     spectra = {
         "sun_irradiance": sun_top * (light.sun * np.exp(-sun_depth)),
-        "sky_irradiance": sun_top * absorbed.diffuse, "spherical_albedo": absorbed.returned,
-        "path_gas": (absorbed.path / light.path).T, "transmittance": through * gases,
-    }  # fmt: skip
+        "sky_irradiance": sun_top * absorbed.diffuse,
+        "spherical_albedo": absorbed.returned,
+        "path_gas": (absorbed.path / light.path).T,
+        "transmittance": through * gases,
+    }
     return _dataset(design, d, sky, path_factors, spectra)
 
 
@@ -149,9 +151,12 @@ def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> solve.Mediu
         particles["aerosol"] = _particles(design.aerosol, depth, profile, height, wavelength_um)
     amounts = gas.gas_amounts(design.water_cm)
     return solve.Medium(
-        height_m=height, wavelength_um=wavelength_um, rayleigh=True, particles=particles,
+        height_m=height,
+        wavelength_um=wavelength_um,
+        rayleigh=True,
+        particles=particles,
         gas_absorption=gas.effective_absorption(amounts, height, cos_sun_zenith, wavelength_um),
-    )  # fmt: skip
+    )
 
 
 def _particles(

@@ -103,8 +103,10 @@ def image_quality(case: Case) -> ImageQuality | None:
     return ImageQuality(
         niirs=giqe5(across_m, (across, along), snr, elevation_rad),
         gsd_m=across_m / math.sin(elevation_rad) ** 0.25,
-        edge_response=(min(across, along) ** 2 * max(across, along)) ** (1 / 3), snr=snr, q=q,
-    )  # fmt: skip
+        edge_response=(min(across, along) ** 2 * max(across, along)) ** (1 / 3),
+        snr=snr,
+        q=q,
+    )
 
 
 def describe_niirs(case: Case) -> str:

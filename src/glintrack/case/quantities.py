@@ -95,11 +95,13 @@ def view_quantities(case: Case) -> dict[str, float]:
     """Derive the sampling of ground and cars, and the footprint beside window and scored area. [m, 1, °]"""
     (across_m, along_m), (wide_m, high_m) = ground_view(case)
     found = {
-        "gsd_across_m": across_m, "gsd_along_m": along_m,
+        "gsd_across_m": across_m,
+        "gsd_along_m": along_m,
         "elements_on_car": math.prod(CAR_M) / (across_m * along_m),
-        "field_of_view_deg": max(case.sensor.field_of_view_deg), "footprint_across_m": wide_m,
+        "field_of_view_deg": max(case.sensor.field_of_view_deg),
+        "footprint_across_m": wide_m,
         "footprint_along_m": high_m,
-    }  # fmt: skip
+    }
     if case.scene.uses_mesh_window:
         return found
     scene = fit_window(case).scene

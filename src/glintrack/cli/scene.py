@@ -63,10 +63,18 @@ def build(
             f"`scene build` must get one of --osm, --sumo-net, --mesh; got {' and '.join(given)}."
         )
     table = {
-        "city": given[0] if given else "embedded", "seed": seed, "trees": trees, "fill_blocks": buildings,
-        **{f"{name}_file": _absolute(file) for name, file in files.items()}, "centre_m": centre, "crs": crs,
-        "origin_m": origin, "mesh_unit_m": unit, "width_m": width, "height_m": height,
-    }  # fmt: skip
+        "city": given[0] if given else "embedded",
+        "seed": seed,
+        "trees": trees,
+        "fill_blocks": buildings,
+        **{f"{name}_file": _absolute(file) for name, file in files.items()},
+        "centre_m": centre,
+        "crs": crs,
+        "origin_m": origin,
+        "mesh_unit_m": unit,
+        "width_m": width,
+        "height_m": height,
+    }
     design = validate_design(SceneDesign, {key: value for key, value in table.items() if value is not None})
     console = cli.open_console()
     city = _build(design, console)

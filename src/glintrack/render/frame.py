@@ -162,9 +162,12 @@ def cube_layout(view: FrameView, range_um: tuple[float, float] | None = None) ->
         block = (rows, max(ORTHO_BLOCK_BYTES // (12 * larger), 1))
     names = tuple(f"{x:.3f} um" for x in wavelength)
     return replace(
-        _layout(view, "radiance", RADIANCE, names, "stokes", STOKES), channel_dim="wavelength", block=block,
-        wavelength_um=tuple(wavelength.tolist()), width_um=(_TABLE_WIDTH_UM,) * channels,
-    )  # fmt: skip
+        _layout(view, "radiance", RADIANCE, names, "stokes", STOKES),
+        channel_dim="wavelength",
+        block=block,
+        wavelength_um=tuple(wavelength.tolist()),
+        width_um=(_TABLE_WIDTH_UM,) * channels,
+    )
 
 
 def cube_blocks(

@@ -162,11 +162,13 @@ def vehicle_boxes(frame: SceneView) -> xr.Dataset:
         ground = np.concatenate(ends, axis=1)
     classes = [VEHICLE_CLASSES[k] for k in np.asarray(snapshot.model)[seen.instance]]
     columns = {
-        "class": (np.array(classes, dtype=object), "1"), "moving": (of_truth["moving"].to_numpy(bool), "1"),
-        "parked": (parked, "1"), "visible_fraction": (visibility, "1"),
+        "class": (np.array(classes, dtype=object), "1"),
+        "moving": (of_truth["moving"].to_numpy(bool), "1"),
+        "parked": (parked, "1"),
+        "visible_fraction": (visibility, "1"),
         **{name: (seen.box[:, k], "pixel") for k, name in enumerate(_PIXELS)},
         **{name: (ground[:, k], "m") for k, name in enumerate(_METRES)},
-    }  # fmt: skip
+    }
     boxes = xr.Dataset(
         {name: ("vehicle", values, {"units": units}) for name, (values, units) in columns.items()},
         coords={"vehicle": seen.vehicle_id},

@@ -129,10 +129,12 @@ def reservations(
         return []
     budget = stage_shares(tree).get(name, {})
     return [
-        *_few_movers(tree, name, case), *_about_scores(tree, name, scores[name], budget),
-        *_small_field(tree, budget, case), *_about_design(tree, name, budget, scores[name], case),
+        *_few_movers(tree, name, case),
+        *_about_scores(tree, name, scores[name], budget),
+        *_small_field(tree, budget, case),
+        *_about_design(tree, name, budget, scores[name], case),
         *_late_tracks(tree, name),
-    ]  # fmt: skip
+    ]
 
 
 def _budgets(tree: xr.DataTree) -> Mapping[str, xr.DataTree]:

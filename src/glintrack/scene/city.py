@@ -315,9 +315,12 @@ def _plan_layout(
             return tuple(t for t in things if free.distance(Point(t.east_m, t.north_m)) > distance_m(t))
 
         layout = replace(
-            layout, panels=panels, trees=clear(layout.trees, lambda tree: tree.crown_radius_m),
-            parked=clear(layout.parked, lambda _: 3.0), hedges=clear(layout.hedges, lambda _: 1.5),
-        )  # fmt: skip
+            layout,
+            panels=panels,
+            trees=clear(layout.trees, lambda tree: tree.crown_radius_m),
+            parked=clear(layout.parked, lambda _: 3.0),
+            hedges=clear(layout.hedges, lambda _: 1.5),
+        )
     return layout, said
 
 

@@ -258,10 +258,12 @@ def laminate(plate: PlateDesign) -> Laminate:
     neutral = film * t * middle / extension
     bending = biaxial * (h**3 / 12 + h * neutral**2) + film * (t**3 / 12 + t * (middle - neutral) ** 2)
     return Laminate(
-        rigidity_nm=bending / (1 + plate.poisson_ratio), poisson_ratio=plate.poisson_ratio,
-        moment_per_strain_n=film * t * (middle - neutral), misfit_strain=-plate.film_stress_mpa * 1e6 / film,
+        rigidity_nm=bending / (1 + plate.poisson_ratio),
+        poisson_ratio=plate.poisson_ratio,
+        moment_per_strain_n=film * t * (middle - neutral),
+        misfit_strain=-plate.film_stress_mpa * 1e6 / film,
         misfit_per_k=(plate.film_expansion_per_mk - plate.expansion_per_mk) * 1e-6,
-    )  # fmt: skip
+    )
 
 
 def bend_plate(

@@ -362,10 +362,12 @@ def probe(
         onward = Onward(np.full(len(owner), -1, np.int32), np.zeros(0, np.bool_), nowhere, nowhere)
     beyond = follow(onward.start, onward.direction)
     out = Gathered(
-        np.empty((count, PATCHES), np.uint8), np.empty((count, facing.shape[1], bounces), np.float32),
-        np.empty((count, facing.shape[1]), np.float32), np.empty(count, np.float32),
+        np.empty((count, PATCHES), np.uint8),
+        np.empty((count, facing.shape[1], bounces), np.float32),
+        np.empty((count, facing.shape[1]), np.float32),
+        np.empty(count, np.float32),
         np.empty(count, np.bool_),
-    )  # fmt: skip
+    )
     leafy = find_leaf_occlusion(heights or no_heights(), met.material, met.point, direction)
     query = first, sent, facing, level, met, leafy, onward, beyond, shares
     over_rows(gather_light, count, *query, out, least=64)

@@ -173,9 +173,12 @@ def _scratch(frame):
 @nb.njit(cache=True, forceinline=True)
 def _bases(lit, components):
     return Bases(
-        lit, np.full(lit.shape[1], -1), np.empty(lit.shape[1:], np.float32),
-        np.zeros(lit.shape[2], np.float32), np.empty(components, np.float32),
-    )  # fmt: skip
+        lit,
+        np.full(lit.shape[1], -1),
+        np.empty(lit.shape[1:], np.float32),
+        np.zeros(lit.shape[2], np.float32),
+        np.empty(components, np.float32),
+    )
 
 
 @nb.njit(cache=True, forceinline=True)

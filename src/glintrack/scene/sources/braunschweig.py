@@ -74,9 +74,12 @@ def _layout(
     built = unary_union([b.footprint for b in buildings])
     parked = pavement_parking(network, streets.carriageway, built, area, parking_rng)
     return Layout(
-        streets, tuple(yards(blocks(streets, area), built, ground_rng)), buildings,
-        tuple(garden_trees(network, streets.all, built, area, tree_rng)), tuple(parked),
-    )  # fmt: skip
+        streets,
+        tuple(yards(blocks(streets, area), built, ground_rng)),
+        buildings,
+        tuple(garden_trees(network, streets.all, built, area, tree_rng)),
+        tuple(parked),
+    )
 
 
 def footprints() -> list[tuple[Polygon, float]]:

@@ -241,9 +241,12 @@ def _layout(
         free = area.difference(taken) if not taken.is_empty else area
         hood = neighbourhood(network, streets, free, use_by_size, fill_rng)
         return Layout(
-            streets, (*patches, *hood.patches), (*buildings, *hood.buildings), (*wood, *hood.trees),
+            streets,
+            (*patches, *hood.patches),
+            (*buildings, *hood.buildings),
+            (*wood, *hood.trees),
             (*parked, *hood.parked),
-        )  # fmt: skip
+        )
     patches += lots.yards(blocks(streets, area), built, ground_rng)
     home = unary_union([built.buffer(_GARDEN_REACH_M), streets.pavement.buffer(6)]).intersection(area)
     grown = lots.garden_trees(network, unary_union([streets.all, covered]), built, home, tree_rng)
