@@ -184,10 +184,14 @@ def look_at(pose: Pose, target_enu: ArrayLike) -> Pose:
     across = math.hypot(x, y)
     azimuth = math.atan2(x, y) if across > 0 else 0.0
     return Pose(
-        *pose.position.tolist(), heading_rad=pose.heading_rad, roll_rad=pose.roll_rad,
-        pitch_rad=pose.pitch_rad, gimbal_azimuth_rad=azimuth, gimbal_depression_rad=math.atan2(-z, across),
+        *pose.position.tolist(),
+        heading_rad=pose.heading_rad,
+        roll_rad=pose.roll_rad,
+        pitch_rad=pose.pitch_rad,
+        gimbal_azimuth_rad=azimuth,
+        gimbal_depression_rad=math.atan2(-z, across),
         kind=pose.kind,
-    )  # fmt: skip
+    )
 
 
 def with_rotation(pose: Pose, matrix: Float[Array, "3 3"]) -> Pose:

@@ -72,9 +72,14 @@ def simulate(
     surface = observer.surface_model(case.ortho.gsd_m) if case.ortho.surface == "surface" else None
     lanes = city.lanes if case.track.roads.prior else ()  # from a map, not from the truth
     rectify = partial(
-        orthorectify, camera=sensor.camera, terrain=city.terrain, gsd_m=case.ortho.gsd_m,
-        area_m=city.extent_m, method=case.ortho.method, surface=surface,
-    )  # fmt: skip
+        orthorectify,
+        camera=sensor.camera,
+        terrain=city.terrain,
+        gsd_m=case.ortho.gsd_m,
+        area_m=city.extent_m,
+        method=case.ortho.method,
+        surface=surface,
+    )
     ground = {"terrain": city.terrain, "surface": surface, "lanes": lanes}
     run = _Run(scenario, rectify, ground, callback, on_image, clock)
     loops = _start_trackers(run, trackers, detectors or {})
@@ -170,11 +175,16 @@ def _expose(
     motion = sensing.image_motion(sensor.camera, scenario.flight.pose, rendered.time_s, exposure_s)
     light = sensing.smear(rendered.light, motion)(sensor.channels)
     return TrueFrame(
-        sensor=sensor, true_pose=rendered.pose,
-        reported_pose=sensing.navigate(rendered.pose, navigation_error), motion=motion, hits=rendered.hits,
-        light=rendered.light, planes=sensing.light_on_elements(light.values, sensor), truth=rendered.truth,
+        sensor=sensor,
+        true_pose=rendered.pose,
+        reported_pose=sensing.navigate(rendered.pose, navigation_error),
+        motion=motion,
+        hits=rendered.hits,
+        light=rendered.light,
+        planes=sensing.light_on_elements(light.values, sensor),
+        truth=rendered.truth,
         area=rendered.area,
-    )  # fmt: skip
+    )
 
 
 class _Image(NamedTuple):

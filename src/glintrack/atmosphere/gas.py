@@ -21,9 +21,15 @@ from glintrack.core.schema import EARTH_RADIUS_M
 from glintrack.core.spectral import resample
 
 LEVELS_M: tuple[float, ...] = (
-    *range(0, 3001, 250), 3500, *range(4000, 10001, 1000), *range(12000, 30001, 3000), 40000, 50000, 70000,
+    *range(0, 3001, 250),
+    3500,
+    *range(4000, 10001, 1000),
+    *range(12000, 30001, 3000),
+    40000,
+    50000,
+    70000,
     100000,
-)  # fmt: skip
+)
 """Levels of the atmosphere; fine at the heights of the aerosol and the aircraft. [m]"""
 WATER_SCALE_HEIGHT_M = 2000.0
 """Of water vapour in the mean (e.g. Reitan, J. Appl. Meteor. 2, 776 (1963)). [m]"""

@@ -79,9 +79,13 @@ def build_scenario(case: Case) -> Scenario:
     sky = unpack_sky(tables, flight.mean_altitude_m)
     sensor = build_sensor(case.sensor, sky.wavelength_um)
     observer = Observer(
-        city=city, first=city.at(case.flight.start_s), sky=sky, camera=sensor.camera,
-        oversampling=case.sensor.oversampling, sun_samples=case.sensor.sun_samples,
-    )  # fmt: skip
+        city=city,
+        first=city.at(case.flight.start_s),
+        sky=sky,
+        camera=sensor.camera,
+        oversampling=case.sensor.oversampling,
+        sun_samples=case.sensor.sun_samples,
+    )
     area = scored_area(case, Extent(*city.extent_m), sensor.camera, flight)
     return Scenario(case, city, sky, flight, sensor, observer, area=area)
 
@@ -142,9 +146,15 @@ def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | 
         west_m, _, _, north_m = city.extent_m
         place = GroundPlace(city.crs, west_m + city.origin_easting_m, north_m + city.origin_northing_m, gsd_m)
         rectify = partial(
-            rectify_array, camera=scenario.sensor.camera, reported_pose=pose, terrain=city.terrain,
-            gsd_m=gsd_m, area_m=city.extent_m, method=case.ortho.method, is_stokes=True,
-        )  # fmt: skip
+            rectify_array,
+            camera=scenario.sensor.camera,
+            reported_pose=pose,
+            terrain=city.terrain,
+            gsd_m=gsd_m,
+            area_m=city.extent_m,
+            method=case.ortho.method,
+            is_stokes=True,
+        )
         grid = GroundGrid(len(north), len(east), place, rectify)
     light = FrameRadiance(observer.trace(snapshot, pose), observer.sky, city.materials)
     return FrameView(

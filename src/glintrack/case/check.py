@@ -139,9 +139,17 @@ def _judge(name: str, limits: Mapping[str, Any], value: float, view: str = "") -
     if low <= 0 or math.isinf(high):
         good = f"≥ {bounds[0]}" if math.isinf(high) else f"≤ {bounds[1]}"
     return Judgement(
-        name=name, label=limits["label"], group=limits["group"], value=value, unit=unit, answer=answer,
-        good=good, reason=reason, view=view, keys=keys,
-    )  # fmt: skip
+        name=name,
+        label=limits["label"],
+        group=limits["group"],
+        value=value,
+        unit=unit,
+        answer=answer,
+        good=good,
+        reason=reason,
+        view=view,
+        keys=keys,
+    )
 
 
 def _worst(judged: Sequence[Judgement], limits: Mapping[str, Any]) -> Judgement:

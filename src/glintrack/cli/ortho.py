@@ -35,9 +35,17 @@ def ortho(
     console = open_console()
     with show_wait(console, "rectifying"):
         found = rectify(
-            frame, camera, pose, dem if dem is not None else height or 0.0, surface=surface, crs=crs, gsd=gsd,
-            area=area, method=method, register=register,
-        )  # fmt: skip
+            frame,
+            camera,
+            pose,
+            dem if dem is not None else height or 0.0,
+            surface=surface,
+            crs=crs,
+            gsd=gsd,
+            area=area,
+            method=method,
+            register=register,
+        )
         found.write(output)
     grid, note = found.grid, ""
     if register is not None:

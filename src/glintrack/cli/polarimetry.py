@@ -43,9 +43,14 @@ def polarimetry(
     """
     rows = [[_parse_element(word) for word in re.split(r"[\s,]+", row.strip())] for row in layout.split("/")]
     values = {
-        "layout": rows if "/" in layout else layout, "demosaic": demosaic, "black_level": black,
-        "white_level": white, "gain": gain, "dark_noise": dark_noise, "max_saturated": saturated,
-    }  # fmt: skip
+        "layout": rows if "/" in layout else layout,
+        "demosaic": demosaic,
+        "black_level": black,
+        "white_level": white,
+        "gain": gain,
+        "dark_noise": dark_noise,
+        "max_saturated": saturated,
+    }
     design = validate_design(RawDesign, values)
     analysers = None if calibration is None else read_analysers(calibration)
     files, console = raw_files(raw), open_console()

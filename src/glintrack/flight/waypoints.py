@@ -233,10 +233,13 @@ def _read_kml(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
     degrees = np.concatenate([part.degrees[k:] for part, k in zip(parts, shared, strict=True)])
     angles = sum(_tag(e) == "angles" and bool(str(e.text or "").strip()) for e in root.iter())
     report_reading(
-        path, "points", sum(len(part.degrees) for part in parts), len(degrees),
+        path,
+        "points",
+        sum(len(part.degrees) for part in parts),
+        len(degrees),
         {"ends that two lines share": sum(shared)},
         [f"{len(parts)} parts"] + [f"{angles} gx:angles are not used"] * (angles > 0),
-    )  # fmt: skip
+    )
     times = [part.seconds for part in parts if part.seconds is not None]
     time_s = start_s + np.concatenate(times) - times[0][0] if times else None
     return Waypoints(to_enu(degrees, datum_m if first.mode == "absolute" else 0.0), time_s)

@@ -100,10 +100,16 @@ class Document:
         """
         axes = {"name": root, "matrix": _Z_UP, "children": list(range(1, len(self.nodes) + 1))}
         document = {
-            "asset": {"version": "2.0", "generator": "glintrack"}, "scene": 0, "scenes": [{"nodes": [0]}],
-            "nodes": [axes, *self.nodes], "meshes": self.meshes, "materials": self.materials,
-            "accessors": self.accessors, "bufferViews": self.views, "buffers": [{"byteLength": self.length}],
-        }  # fmt: skip
+            "asset": {"version": "2.0", "generator": "glintrack"},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": [axes, *self.nodes],
+            "meshes": self.meshes,
+            "materials": self.materials,
+            "accessors": self.accessors,
+            "bufferViews": self.views,
+            "buffers": [{"byteLength": self.length}],
+        }
         text = json.dumps(document, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         data = b"".join(self.chunks)

@@ -224,9 +224,14 @@ class _ZarrWriter(_LabelledWriter):
         if layout.place is not None:  # where GDAL's driver looks
             attributes["_CRS"] = {"wkt": pyproj.CRS.from_user_input(layout.place.crs).to_wkt()}
         self.array = group.create_array(
-            layout.name, shape=self.shape, chunks=self.chunks, dtype="float32", fill_value=float("nan"),
-            compressors=numcodecs.Zlib(1), attributes=attributes,
-        )  # fmt: skip
+            layout.name,
+            shape=self.shape,
+            chunks=self.chunks,
+            dtype="float32",
+            fill_value=float("nan"),
+            compressors=numcodecs.Zlib(1),
+            attributes=attributes,
+        )
 
     def close(self) -> None:
         """Finish the folder."""

@@ -73,9 +73,15 @@ def read_csv(
             stack.enter_context(warnings.catch_warnings())
             warnings.simplefilter("error", pd.errors.ParserWarning)
             table = pd.read_csv(
-                source, sep=separator, dtype=types, usecols=only, keep_default_na=types is not str,
-                index_col=False, skipinitialspace=True, encoding="utf-8-sig",
-            )  # fmt: skip
+                source,
+                sep=separator,
+                dtype=types,
+                usecols=only,
+                keep_default_na=types is not str,
+                index_col=False,
+                skipinitialspace=True,
+                encoding="utf-8-sig",
+            )
     except pd.errors.EmptyDataError as error:
         raise ValueError(f"`{name}` must have a header row; got the empty file {path}.") from error
     except (OSError, EOFError) as error:

@@ -80,9 +80,14 @@ def _boxes(bodies: Bodies) -> _Boxes:
         start[i, j] = len(listed)
         listed += [*some, -1]
     return _Boxes(
-        low=low, high=high, axes=np.ascontiguousarray(turn.transpose(0, 2, 1)),
-        origin=np.ascontiguousarray(origin), corner=corner, start=start, listed=np.array(listed, np.int32),
-    )  # fmt: skip
+        low=low,
+        high=high,
+        axes=np.ascontiguousarray(turn.transpose(0, 2, 1)),
+        origin=np.ascontiguousarray(origin),
+        corner=corner,
+        start=start,
+        listed=np.array(listed, np.int32),
+    )
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")

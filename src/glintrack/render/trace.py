@@ -70,10 +70,13 @@ def _merge_rays(
     """
     rays = len(direction)
     out = Samples(
-        count=np.zeros(elements, np.int64), rays=np.empty(rays, np.float32), sun_visible=light,
-        is_smooth=np.empty(rays, np.bool_), direction=direction,
+        count=np.zeros(elements, np.int64),
+        rays=np.empty(rays, np.float32),
+        sun_visible=light,
+        is_smooth=np.empty(rays, np.bool_),
+        direction=direction,
         **{name: getattr(seen, name) for name in SurfaceHits._fields if name != "sun_cosine"},
-    )  # fmt: skip
+    )
     samples = _merge(rays // max(elements, 1), seen, is_smooth, out)
     return Samples(out.count, *(values[:samples] for values in out[1:]))
 

@@ -130,9 +130,13 @@ def build_tracer(
     heights = partial(solid_heights, snapshot, sheets, window or (*west_south, *east_north))
     return SceneTracer(
         rays=intersector()(meshes[0], meshes[1:], snapshot.transforms[fixed], model, gaps),
-        faces=surfaces.FaceTable.of(meshes), probes=SceneProbes(box, window, shares, heights), sheets=sheets,
-        role=role, boxes=boxes, fixed=snapshot.fixed,
-    )  # fmt: skip
+        faces=surfaces.FaceTable.of(meshes),
+        probes=SceneProbes(box, window, shares, heights),
+        sheets=sheets,
+        role=role,
+        boxes=boxes,
+        fixed=snapshot.fixed,
+    )
 
 
 def _roles(snapshot: Snapshot, sheets: Array) -> tuple[Int[Array, "model"], Float[Array, "model 2 3"]]:

@@ -80,10 +80,13 @@ def plan(extent_m: Extent, azimuth_deg: float | None, picture: str = "") -> dict
         sun = {"x": f"{_ARROW * math.sin(towards):.2f}", "y": f"{-_ARROW * math.cos(towards):.2f}",
                "degrees": f"{azimuth_deg:.0f}"}  # fmt: skip
     return {
-        "picture": picture, "said": f"The window, {wide:.0f} m × {high:.0f} m, north up",
-        "high": f"{100 * high / wide:.2f}", "bar_label": f"{bar_m:g} m", "bar": f"{100 * bar_m / wide:.2f}",
+        "picture": picture,
+        "said": f"The window, {wide:.0f} m × {high:.0f} m, north up",
+        "high": f"{100 * high / wide:.2f}",
+        "bar_label": f"{bar_m:g} m",
+        "bar": f"{100 * bar_m / wide:.2f}",
         "sun": sun,
-    }  # fmt: skip
+    }
 
 
 def page_data(result: Result) -> dict:
@@ -174,11 +177,15 @@ def _track_rows(rows: xr.Dataset, times_s: Array, middle: tuple) -> dict:
     coasts = np.isin(get["status"], ["coasted", "stopped"])
     flags = coasts * 1 + (get["valid"] > 0) * 2 + (get["false"] > 0) * 4
     return {
-        "count": rows.sizes["row"], "per": per, "id": _integers(rows["track_id"].values),
-        "vehicle": _integers(get["vehicle_id"]), "flags": encode(flags, "u1"), **_places(rows, middle),
+        "count": rows.sizes["row"],
+        "per": per,
+        "id": _integers(rows["track_id"].values),
+        "vehicle": _integers(get["vehicle_id"]),
+        "flags": encode(flags, "u1"),
+        **_places(rows, middle),
         "vx": encode(100 * rows["east_speed_m_s"].values, "i2"),
         "vy": encode(100 * rows["north_speed_m_s"].values, "i2"),
-    }  # fmt: skip
+    }
 
 
 def _truth_rows(truth: xr.Dataset, times_s: Array, middle: tuple, extent: tuple) -> dict:
@@ -190,10 +197,13 @@ def _truth_rows(truth: xr.Dataset, times_s: Array, middle: tuple, extent: tuple)
     rows, per = _in_time(rows, times_s)
     moving, seen = metrics.is_moving(rows), metrics.is_visible(rows)
     return {
-        "count": rows.sizes["row"], "vehicles": len(np.unique(rows["vehicle_id"].values)), "per": per,
-        "id": _integers(rows["vehicle_id"].values), "flags": encode(moving * 1 + seen * 2, "u1"),
+        "count": rows.sizes["row"],
+        "vehicles": len(np.unique(rows["vehicle_id"].values)),
+        "per": per,
+        "id": _integers(rows["vehicle_id"].values),
+        "flags": encode(moving * 1 + seen * 2, "u1"),
         **_places(rows, middle),
-    }  # fmt: skip
+    }
 
 
 def _query_rows(queries: xr.Dataset, times_s: Array, middle: tuple) -> dict:

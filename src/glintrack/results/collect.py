@@ -149,10 +149,16 @@ def collect(
             nodes[f"/{channel}/quality"] = series.assign_attrs(means)
         nodes[f"/{channel}/tracks"] = loop.tracks.to_dataset()
     attributes = {
-        "case": case.name, "seed": case.seed, "area": area.kind, "glintrack_version": version("glintrack"),
-        "frames_asked": len(times_s), "frames_done": count, "interrupted": int(interrupted),
-        "build_s": seconds.get("build", 0.0), "compile_s": seconds.get("compile", 0.0),
-    }  # fmt: skip
+        "case": case.name,
+        "seed": case.seed,
+        "area": area.kind,
+        "glintrack_version": version("glintrack"),
+        "frames_asked": len(times_s),
+        "frames_done": count,
+        "interrupted": int(interrupted),
+        "build_s": seconds.get("build", 0.0),
+        "compile_s": seconds.get("compile", 0.0),
+    }
     for stages, ending in ((seconds, "per_frame"), (ahead, "ahead")):
         for stage, s in stages.items():
             if stage not in ("build", "compile"):

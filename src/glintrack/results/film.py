@@ -110,10 +110,14 @@ class Film:
         frames = sorted(self.times_s)
         return {
             "kinds": [kind for kind in KINDS if any((kind, k) in self.pictures for k in frames)],
-            "frames": frames, "times_s": [self.times_s[k] for k in frames], "size": list(self.size),
-            "pan_range": list(self.pan_range), "dolp_highest": MAX_DOLP, "aop_least_dolp": MIN_AOP_DOLP,
+            "frames": frames,
+            "times_s": [self.times_s[k] for k in frames],
+            "size": list(self.size),
+            "pan_range": list(self.pan_range),
+            "dolp_highest": MAX_DOLP,
+            "aop_least_dolp": MIN_AOP_DOLP,
             "aop_full_dolp": FULL_AOP_DOLP,
-        }  # fmt: skip
+        }
 
 
 def picture_name(kind: str, frame: int) -> str:

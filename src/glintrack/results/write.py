@@ -122,9 +122,13 @@ def _georeference(case: Case, tree: xr.DataTree, recorder: Recorder) -> TrackGeo
         return TrackGeoreference(time_zero=case.atmosphere.utc)
     city, times_s = recorder.observer.city, dataset_at(tree, case.channels[0])["time"].values.tolist()
     return TrackGeoreference(
-        crs=city.crs, origin_m=recorder.origin_m, area_m=Extent(*city.extent_m), cell_m=case.ortho.gsd_m,
-        times_s=times_s, time_zero=case.atmosphere.utc,
-    )  # fmt: skip
+        crs=city.crs,
+        origin_m=recorder.origin_m,
+        area_m=Extent(*city.extent_m),
+        cell_m=case.ortho.gsd_m,
+        times_s=times_s,
+        time_zero=case.atmosphere.utc,
+    )
 
 
 def _views(case: Case, colour: Colour) -> Iterator[tuple[str, Figure]]:

@@ -309,10 +309,13 @@ def with_exposure(sensor: Sensor, exposure_ms: float) -> Sensor:
         known_offset_e=sensor.pattern.known_offset_e + dark_e,
     )
     return replace(
-        sensor, design=sensor.design.model_copy(update={"integration_time_ms": exposure_ms}),
-        element_gains=part * sensor.element_gains, stokes_gains=part * sensor.stokes_gains, pattern=pattern,
+        sensor,
+        design=sensor.design.model_copy(update={"integration_time_ms": exposure_ms}),
+        element_gains=part * sensor.element_gains,
+        stokes_gains=part * sensor.stokes_gains,
+        pattern=pattern,
         exposure_part=part * sensor.exposure_part,
-    )  # fmt: skip
+    )
 
 
 def noiseless_frame(radiance: Radiance, sensor: Sensor, time_s: float = 0.0) -> xr.Dataset:

@@ -117,10 +117,14 @@ def build_optic(lens: LensDesign) -> Any:
             }
         try:
             optic.surfaces.add(
-                index=index, radius=np.inf if surface.radius_mm is None else surface.radius_mm,
-                conic=surface.conic, thickness=surface.thickness_mm, material=surface.material,
-                is_stop=surface.stop, **kind,
-            )  # fmt: skip
+                index=index,
+                radius=np.inf if surface.radius_mm is None else surface.radius_mm,
+                conic=surface.conic,
+                thickness=surface.thickness_mm,
+                material=surface.material,
+                is_stop=surface.stop,
+                **kind,
+            )
         except ValueError as error:  # a glass that is not in its catalogues
             hint = "".join(str(error).partition("Did you mean")[1:]) or str(error)
             raise ValueError(

@@ -245,10 +245,13 @@ def _elements(design: SensorDesign, polarizer: Polarizer, wavelength_um: Array) 
     polarizers = places(design.superpixel, "polarizer")
     analysers = np.array([known[place] / known[place][0] for place in polarizers]).reshape(-1, 3)
     return {
-        "channels": np.stack(channels), "planes": planes, "element_gains": gains, "stokes_gains": known,
+        "channels": np.stack(channels),
+        "planes": planes,
+        "element_gains": gains,
+        "stokes_gains": known,
         "diattenuation": float(np.hypot(analysers[:, 1], analysers[:, 2]).mean()) if polarizers else 1.0,
         "analysers": analysers,
-    }  # fmt: skip
+    }
 
 
 def _rotate_row(own: list[tuple[int, float]], angle: float) -> dict[tuple[int, int], float]:

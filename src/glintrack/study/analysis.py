@@ -389,9 +389,13 @@ def surrogates(
     inside = (score >= low) & (score <= high)
     interval_95 = stats.binomtest(int(inside.sum()), len(inside)).proportion_ci(0.95)
     check = {
-        "flights": len(score), "terms": len(surface.coefficients), "spread": float(score.std(ddof=1)),
-        "error": float(np.sqrt(np.mean((score - predicted) ** 2))), "coverage": float(inside.mean()),
-        "coverage_low": float(interval_95.low), "coverage_high": float(interval_95.high),
-    }  # fmt: skip
+        "flights": len(score),
+        "terms": len(surface.coefficients),
+        "spread": float(score.std(ddof=1)),
+        "error": float(np.sqrt(np.mean((score - predicted) ** 2))),
+        "coverage": float(inside.mean()),
+        "coverage_low": float(interval_95.low),
+        "coverage_high": float(interval_95.high),
+    }
     lines = pd.concat([surface.along(k) for k in range(len(names))], ignore_index=True)
     return lines, pd.DataFrame([check])

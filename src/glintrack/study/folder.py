@@ -79,10 +79,14 @@ class StudyFolder:
                 shutil.rmtree(left, ignore_errors=True)
             if not (self.path / _HEAD).exists():
                 head = {
-                    "format": FORMAT, "study": plan.key, "name": plan.design.name,
-                    "glintrack": version("glintrack"), "source": source_key(), "points": len(plan.points),
+                    "format": FORMAT,
+                    "study": plan.key,
+                    "name": plan.design.name,
+                    "glintrack": version("glintrack"),
+                    "source": source_key(),
+                    "points": len(plan.points),
                     "cases": len(plan.cases),
-                }  # fmt: skip
+                }
                 atomic.write_text(self.path / _HEAD, json.dumps(head, indent=1) + "\n")
             yield self
 

@@ -300,9 +300,14 @@ def dask(address: str, workers: int | None = None, memory_bytes: int | None = No
         executor = client.get_executor(pure=False, retries=0)
         link = client.dashboard_link if "dashboard" in client.scheduler_info()["services"] else None
         yield Pool(
-            executor, slots, address, threads, link=link, is_up=lambda: client.status == "running",
+            executor,
+            slots,
+            address,
+            threads,
+            link=link,
+            is_up=lambda: client.status == "running",
             count_slots=lambda: sum(client.nthreads().values()),
-        )  # fmt: skip
+        )
 
 
 def is_worker_loss(error: BaseException) -> bool:

@@ -74,9 +74,14 @@ class SolidHeights(NamedTuple):
 def no_heights() -> SolidHeights:
     """Return a map without cells."""
     return SolidHeights(
-        cells=np.zeros((0, 0, 4), np.int16), tops=np.zeros((0, 0), np.int16), corner=np.zeros(2),
-        cell_m=CELL_M, middle_m=0.0, step_m=_STEP_M, sheets=np.zeros(0, np.bool_),
-    )  # fmt: skip
+        cells=np.zeros((0, 0, 4), np.int16),
+        tops=np.zeros((0, 0), np.int16),
+        corner=np.zeros(2),
+        cell_m=CELL_M,
+        middle_m=0.0,
+        step_m=_STEP_M,
+        sheets=np.zeros(0, np.bool_),
+    )
 
 
 def solid_heights(
@@ -105,9 +110,14 @@ def solid_heights(
     over_rows(_pack, rows, toward, np.array(known, float), drawn, cells)
     by_row = np.maximum.reduceat(cells[..., 0], np.arange(0, rows, BLOCK), axis=0)
     return SolidHeights(
-        cells=cells, tops=np.maximum.reduceat(by_row, np.arange(0, columns, BLOCK), axis=1), corner=low,
-        cell_m=cell_m, middle_m=float(middle_m), step_m=float(step_m), sheets=sheets,
-    )  # fmt: skip
+        cells=cells,
+        tops=np.maximum.reduceat(by_row, np.arange(0, columns, BLOCK), axis=1),
+        corner=low,
+        cell_m=cell_m,
+        middle_m=float(middle_m),
+        step_m=float(step_m),
+        sheets=sheets,
+    )
 
 
 def _solid(mesh: Mesh, paint: int, sheets: Array) -> Int[Array, "face 3"]:

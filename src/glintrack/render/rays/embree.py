@@ -61,10 +61,13 @@ class _QueryArguments(ctypes.Structure):
     """RTCIntersectArguments and RTCOccludedArguments, which share their layout; for `intersect`."""
 
     _fields_ = [
-        ("flags", ctypes.c_int), ("feature_mask", ctypes.c_uint), ("context", ctypes.c_void_p),
-        ("filter", ctypes.c_void_p), ("callback", ctypes.c_void_p),
+        ("flags", ctypes.c_int),
+        ("feature_mask", ctypes.c_uint),
+        ("context", ctypes.c_void_p),
+        ("filter", ctypes.c_void_p),
+        ("callback", ctypes.c_void_p),
         ("min_width_distance_factor", ctypes.c_float),
-    ]  # fmt: skip
+    ]
 
 
 def load_library() -> ctypes.CDLL:

@@ -200,11 +200,15 @@ class SurfaceHits(NamedTuple):
     def empty(cls, count: int) -> "SurfaceHits":
         """Allocate arrays for a number of rays."""
         return cls(
-            point=np.empty((count, 3), np.float32), normal=np.empty((count, 3), np.float32),
-            range_m=np.empty(count, np.float32), material=np.empty(count, np.int16),
-            vehicle_id=np.empty(count, np.int32), instance=np.empty(count, np.int32),
-            lifted=np.empty((count, 3), np.float32), sun_cosine=np.empty(count, np.float32),
-        )  # fmt: skip
+            point=np.empty((count, 3), np.float32),
+            normal=np.empty((count, 3), np.float32),
+            range_m=np.empty(count, np.float32),
+            material=np.empty(count, np.int16),
+            vehicle_id=np.empty(count, np.int32),
+            instance=np.empty(count, np.int32),
+            lifted=np.empty((count, 3), np.float32),
+            sun_cosine=np.empty(count, np.float32),
+        )
 
 
 def resolve(

@@ -76,10 +76,16 @@ def read_dem(
     try:
         read = read_heights(path, "dem_file", *places, crs)
         reproject(
-            read.values, height, src_transform=read.transform, src_crs=read.crs, src_nodata=np.nan,
-            dst_transform=to_scene, dst_crs=pyproj.CRS.from_user_input(crs).to_wkt(), dst_nodata=np.nan,
+            read.values,
+            height,
+            src_transform=read.transform,
+            src_crs=read.crs,
+            src_nodata=np.nan,
+            dst_transform=to_scene,
+            dst_crs=pyproj.CRS.from_user_input(crs).to_wkt(),
+            dst_nodata=np.nan,
             resampling=Resampling.bilinear,
-        )  # fmt: skip
+        )
     except NotReachedError:
         pass  # reported below, with the bounds of the scene
     except ValueError:

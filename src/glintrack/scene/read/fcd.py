@@ -117,10 +117,15 @@ def read_fcd(
     count = np.bincount(vehicle[kept], minlength=len(enters))[ranked]
     kinds = table["vehicle_type"].to_numpy(dtype=str)[kept[np.cumsum(count) - count]]
     traffic = Traffic(
-        step_s=step_s, steps=int(np.round((clock[-1] - start_s) / step_s)) + 1, first=enters[ranked],
-        count=count, model=np.array([VEHICLE_CLASSES.index(str(models[kind])) for kind in kinds], dtype=int),
-        bumper_east=x[kept], bumper_north=y[kept], angle=angle[kept],
-    )  # fmt: skip
+        step_s=step_s,
+        steps=int(np.round((clock[-1] - start_s) / step_s)) + 1,
+        first=enters[ranked],
+        count=count,
+        model=np.array([VEHICLE_CLASSES.index(str(models[kind])) for kind in kinds], dtype=int),
+        bumper_east=x[kept],
+        bumper_north=y[kept],
+        angle=angle[kept],
+    )
     guessed = [kind for kind in kinds if kind not in VEHICLE_CLASSES]
     if guessed:
         notes.append(f"shown as the model their type suggests, else a car: {_count_types(guessed)}")

@@ -144,10 +144,14 @@ def _read_csv(path: Path) -> pd.DataFrame:
         raise ValueError(f"`{path.name}` must be SUMO's floating-car data as CSV; got {error}.") from error
     texts = (_ID, _KIND, *_PLACE, *(f"{k}_{end}" for k in _OTHERS for end in ("id", "type", "lane", "edge")))
     return read_csv(
-        path, path.name, separator=separator.decode(),
+        path,
+        path.name,
+        separator=separator.decode(),
         types=dict.fromkeys((*texts, "id", "type", "lane", "edge"), "str"),
-        only=lambda column: _column(column.strip()) in _COLUMNS, comments=False, most_bytes=None,
-    )  # fmt: skip
+        only=lambda column: _column(column.strip()) in _COLUMNS,
+        comments=False,
+        most_bytes=None,
+    )
 
 
 def _read_parquet(path: Path) -> pd.DataFrame:

@@ -164,9 +164,14 @@ def draw_plan(width_m: float, height_m: float, rng: np.random.Generator) -> Stre
             if rng.random() < 0.08 and along not in major and not left_out & near:
                 left_out.add((axis, c, r))
     return StreetPlan(
-        columns, rows, arterial_columns=arterial_columns, arterial_rows=arterial_rows,
-        collector_columns=collector_columns, collector_rows=collector_rows, left_out=frozenset(left_out),
-    )  # fmt: skip
+        columns,
+        rows,
+        arterial_columns=arterial_columns,
+        arterial_rows=arterial_rows,
+        collector_columns=collector_columns,
+        collector_rows=collector_rows,
+        left_out=frozenset(left_out),
+    )
 
 
 def plan_xml(plan: StreetPlan) -> tuple[str, str]:

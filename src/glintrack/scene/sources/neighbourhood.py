@@ -79,9 +79,13 @@ def neighbourhood(
     taken = unary_union([streets.carriageway.buffer(0.5), solid, unary_union(paved)])
     plan.trees += street_trees(network, taken, area, street_rng)
     return Layout(
-        streets, tuple(plan.patches), tuple(plan.buildings), tuple(plan.trees), tuple(plan.parked),
+        streets,
+        tuple(plan.patches),
+        tuple(plan.buildings),
+        tuple(plan.trees),
+        tuple(plan.parked),
         hedges=tuple(plan.hedges),
-    )  # fmt: skip
+    )
 
 
 def use_by_size(block: Polygon, rng: np.random.Generator) -> Use:
@@ -157,10 +161,13 @@ def _house(
     wall = str(rng.choice(["siding", "brick", "plaster", "wood"], p=[0.4, 0.3, 0.2, 0.1]))
     tiles = ["roof_shingle", "roof_tile", "roof_tile_new", "roof_tile_grey", "roof_slate"]
     house = Building(
-        footprint, eaves_m=float(rng.choice([3.0, 5.6], p=[0.35, 0.65])), roof=roof, wall=wall,
+        footprint,
+        eaves_m=float(rng.choice([3.0, 5.6], p=[0.35, 0.65])),
+        roof=roof,
+        wall=wall,
         roof_material=str(rng.choice(tiles, p=[0.4, 0.15, 0.2, 0.15, 0.1])),
         slope_rad=math.radians(rng.uniform(27, 42)),
-    )  # fmt: skip
+    )
     drive = lot.rectangle(lot.width_m / 2 - 3.1, lot.width_m / 2 - 0.1, -0.5, setback + 3.0)
     clear = not any(drive.intersects(p) for p in [*placed, footprint])
     return house, drive if clear else None
