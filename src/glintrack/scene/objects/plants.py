@@ -45,11 +45,12 @@ class Tree:
 
 def draw_tree(east_m: float, north_m: float, rng: np.random.Generator, height_m: tuple[float, float]) -> Tree:
     """Draw a tree of random kind and size, between two heights. [m]"""
-    high = rng.uniform(*height_m)
+    height = rng.uniform(*height_m)
     if rng.random() < 0.15:
-        return Tree(east_m, north_m, high * 1.15, high * rng.uniform(0.16, 0.2), "conifer", "leaf_conifer")
+        radius = height * rng.uniform(0.16, 0.2)
+        return Tree(east_m, north_m, height * 1.15, radius, "conifer", "leaf_conifer")
     leaf = "leaf" if rng.random() < 0.65 else "leaf_walnut"
-    return Tree(east_m, north_m, high, high * rng.uniform(0.3, 0.42), "broadleaf", leaf)
+    return Tree(east_m, north_m, height, height * rng.uniform(0.3, 0.42), "broadleaf", leaf)
 
 
 def tree_models(index: dict[str, int]) -> tuple[Mesh, ...]:
