@@ -1,11 +1,11 @@
 """Compare classical change detectors with ours on the same flights, each with SORT, GNN and `mht`.
 
-``python benchmarks/detectors.py [--tune] [--flights embedded:51 braunschweig:31] [--json FILE]``. Each flight
+``python benchmarks/detectors.py [--flights embedded:51 braunschweig:31] [--json FILE]``. Each flight
 is simulated once (`tools/record_flight.py`). All detectors see the same panchromatic frames and reported
 poses: `mosaic` sees the raw mosaics, all others see the rectified frames. Differencing, three-frame
 differencing, the median, GoDec and OpenCV's MOG2 use our registration and windows. Their thresholds, and the
 least likelihood ratio with which a detection of `mosaic` counts in F1, give the best F1 of frames on
-quickstart:11 (``--tune`` prints them). Detections do not depend on the tracks. F1 is of single frames: a
+quickstart:11. Detections do not depend on the tracks. F1 is of single frames: a
 moving vehicle of which a quarter is visible is found, and a detection with no vehicle near is false.
 ``value`` is the detector's processor time a frame.
 """
@@ -129,15 +129,14 @@ CLASSICAL = {
     "differencing": Classical(difference, 6.0), "three-frame": Classical(three_frame, 6.0),
     "median": Classical(from_median, 5.0), "GoDec": Classical(godec, 5.0), "MOG2": Classical(mog2, 5.0),
 }  # fmt: skip
-TRIED = (4.0, 5.0, 6.0, 7.0)
-LIKELY_NAT, TRIED_NAT = -1.0, (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0)  # of `mosaic`, which tells weak ones too
+LIKELY_NAT = -1.0  # of `mosaic`, which reports weak detections too
 SCORES = ("completeness_visible", "purity", "custody", "false_per_km2", "mota", "hota")
 
 
 def detections_of(recording: Recording, detector: track.Detector) -> tuple[Found, float]:
     """Detect in each frame without a tracker; return detections and processor time per frame. [s]"""
     state, last_s, out, began = None, None, [], time.process_time()
-    for frame in recording.sensor_frames():
+    for frame in recording.frames:
         interval_s = 0.0 if last_s is None else frame.time_s - last_s
         frame = replace(frame, grid=grid_of(frame, None), interval_s=interval_s, channel="pan")
         state = detector.start(frame) if state is None else state
@@ -148,12 +147,12 @@ def detections_of(recording: Recording, detector: track.Detector) -> tuple[Found
     return out, (time.process_time() - began) / len(out)
 
 
-def f1(recording: Recording, found: Found, least_nat: float = LIKELY_NAT) -> float:
+def f1(recording: Recording, found: Found) -> float:
     """Score all frames together, with detections that reach the smallest likelihood ratio."""
     right = wrong = asked = 0
     for one, truth in zip(found, recording.truths, strict=True):
         ratio = one.log_likelihood_ratio
-        kept = np.ones(len(one), bool) if ratio is None else ratio >= least_nat
+        kept = np.ones(len(one), bool) if ratio is None else ratio >= LIKELY_NAT
         should_be_found = metrics.is_moving(truth) & metrics.is_in_area(truth, recording.extent_m)
         should_be_found &= metrics.is_visible(truth)
         place = np.stack([truth["east_m"].values, truth["north_m"].values], axis=1)
@@ -165,12 +164,12 @@ def f1(recording: Recording, found: Found, least_nat: float = LIKELY_NAT) -> flo
 
 def reports_of(recording: Recording, found: Found, tracker: str, design: track.TrackDesign) -> xr.Dataset:
     """Rows of the tracks that a tracker makes of detections."""
-    times = [frame.time_s for frame in recording.sensor_frames()]
+    times = [frame.time_s for frame in recording.frames]
     if tracker == "SORT":
         reports, _ = baseline()(list(zip(times, recording.truths, strict=True)), found)
         return as_rows(zip(times, reports, strict=True))
     state = track.start(design.replace({"association.method": tracker, "query.policy": "none"}))
-    grid, flown = grid_of(next(recording.sensor_frames()), None), []
+    grid, flown = grid_of(recording.frames[0], None), []
     for time_s, one in zip(times, found, strict=True):
         state = track.step_detections(state, one, time_s, grid)
         flown.append(state)
@@ -180,7 +179,7 @@ def reports_of(recording: Recording, found: Found, tracker: str, design: track.T
 def truth_rows(recording: Recording) -> xr.Dataset:
     """Return the truth with one row per vehicle and frame."""
     parts = []
-    for frame, truth in zip(recording.sensor_frames(), recording.truths, strict=True):
+    for frame, truth in zip(recording.frames, recording.truths, strict=True):
         table = truth.to_dataframe().reset_index().rename(columns={"vehicle": "vehicle_id"})
         parts.append(table.assign(time_s=frame.time_s))
     columns = {name: np.concatenate([part[name].to_numpy() for part in parts]) for name in parts[0]}
@@ -206,20 +205,9 @@ def rows_of(recording: Recording, flight: str) -> Iterator[dict]:
 def main() -> None:
     """Fly, detect, track, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--tune", action="store_true", help="print F1 of frames over thresholds")
     parser.add_argument("--flights", nargs="+", default=["embedded:51", "braunschweig:31"], help="NAME:SEED")
     parser.add_argument("--json", type=Path, help="write the rows to this file")
     arguments = parser.parse_args()
-    if arguments.tune:
-        recording = record_flight("quickstart:11")
-        for name, detector in CLASSICAL.items():
-            for threshold in TRIED:
-                found, _ = detections_of(recording, replace(detector, threshold=threshold))
-                print(f"{name:14}{threshold:6.2f}{f1(recording, found):8.3f}", flush=True)
-        found, _ = detections_of(recording, track.DETECTORS["mosaic"](track.TrackDesign().detect))
-        for least_nat in TRIED_NAT:
-            print(f"{'mosaic':14}{least_nat:6.2f}{f1(recording, found, least_nat):8.3f}", flush=True)
-        return
     rows = []
     for flight in arguments.flights:
         for row in rows_of(record_flight(flight), flight):

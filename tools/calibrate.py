@@ -1,23 +1,23 @@
-"""Fit the logistic models of detector and tracker, and write them to ``data/calibration``.
+"""Train the detector `mosaic` and the tracker: ``python tools/calibrate.py FOLDER``.
 
-``python tools/calibrate.py mosaic`` simulates several kinds of traffic, angles, rates and pitches
-(`MOSAIC_FLIGHTS`), so that one model holds for all of them. It runs the detector over each in each channel,
-over the sensor without polarizers too in `pan`, and labels the peaks by the truth: one peak of a visible
-moving vehicle is a vehicle, what is far from every vehicle is clutter, the rest says nothing. A model of
-`mosaic_peaks.FEATURES` is fitted; every flight and, within it, vehicles and clutter weigh the same, which
-takes out the flights' own odds. Residuals of the likely peaks give height and standard deviations. Masks and
-places are those of the present model: run it twice after a change of the detector.
+1. *Record* the flights of the plan (`plan_flights`) into the folder, but those that it holds. A Latin
+   hypercube covers four kinds of traffic and two of cities, rates, angles, pitches, hazes and azimuths.
+   Flights of packaged cases and of arrays without polarizers are added.
+2. *Detector*: label the peaks of each flight in each channel by the truth. One peak of a visible moving
+   vehicle is a vehicle, what is far from every vehicle is clutter, the rest says nothing. A model of
+   `mosaic_peaks.FEATURES` is fitted; every flight and, within it, vehicles and clutter weigh the same.
+   Residuals of the likely peaks give height and standard deviations. Masks and places are those of the
+   present model: run it twice after a change of the detector.
+3. *Reporting*: label every confirmed track at every frame by the truth, as the scores do: right or false. A
+   track near a standing vehicle says nothing. A model of `existence.existence_features` is fitted to each
+   channel, every flight weighing the same; then one of `reporting.report_candidates`, 1.5 s later.
+4. *Check*: track held-out flights, and print the share of false tracks where 10 % may be false.
 
-``python tools/calibrate.py existence`` simulates two cities and four other kinds of traffic
-(`EXISTENCE_FLIGHTS`), tracks them in each channel with the tracker of the packaged case, takes all that is
-confirmed, and labels every track at every frame by the truth, as the scores do: right or false. A track
-near a standing vehicle says nothing. A model of `existence.existence_features` is fitted to each channel,
-every flight weighing the same; then one of the features of `reporting.report_candidates`, 1.5 s later.
-
-Both fits are maximum likelihood with a weak ridge.
+``--only`` names some steps. Fits are maximum likelihood with a weak ridge and go to ``data/calibration``.
 """
 
 import argparse
+import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,11 +27,12 @@ import numpy as np
 import xarray as xr
 from scipy.optimize import linear_sum_assignment, minimize
 from scipy.special import expit
+from scipy.stats import qmc
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from glintrack import metrics, track
 from glintrack.case.design import Case
-from glintrack.case.packaged import find_case
+from glintrack.io.atomic import content_hash
 from glintrack.io.toml import to_toml
 from glintrack.track import existence, reporting
 from glintrack.track.calibration import Calibration, LogisticModel, calibration_file, read_calibration
@@ -41,10 +42,11 @@ from glintrack.track.detect.frame import grid_of
 from glintrack.track.detect.mosaic import MosaicDetector, SearchedMosaic
 from glintrack.track.detect.mosaic_peaks import FEATURES, MIN_RATIO
 from glintrack.track.initiation import select
-from tools.record_flight import Recording, record_flight
+from tools.record_flight import Recording, case_of, read_recording, record_case, write_recording
 
 CHANNELS = ("pan", "dolp", "all")
-RIDGE = 1e-3
+RIDGE, MIN_LABELS = 1e-3, 20  # a flight with fewer vehicles says nothing
+SOURCE = "tools/calibrate.py"
 
 
 def write_calibration(name: str, calibration: Calibration, digits: int = 2) -> None:
@@ -75,27 +77,95 @@ def fit_logistic(features: np.ndarray, label: np.ndarray, weight: np.ndarray) ->
     return np.r_[w[0], w[1:] / scale]
 
 
+# ---- flights
+
+RATE_HZ, OFF_NADIR_DEG, SLANT_RANGE_M = (1.0, 10.0), (3.0, 60.0), 3000.0
+KINDS = ("motorway", "arterial", "junction", "suburb", "quickstart", "embedded")
+PITCHES = (  # small arrays, so that a flight takes less than a minute
+    ("sensor.pitch_um=17.0", "sensor.rows=160", "sensor.columns=400"),
+    ("sensor.pitch_um=12.0", "sensor.rows=180", "sensor.columns=480"),
+    (
+        "sensor.pitch_um=8.5", "sensor.rows=200", "sensor.columns=560", "sensor.spot_sigma_um=12",
+        "sensor.full_well_e=267e3", "sensor.read_noise_e=20", "sensor.integration_time_ms=0.085",
+    ),
+)  # fmt: skip
+HAZES = ("clear", "urban")
+_NADIR = ("flight.off_nadir_deg=8.0", "flight.altitude_m=2970.0")
+_PAN = ('sensor.layout="pan"', 'sensor.demosaic="superpixel"', "flight.frames=20", *PITCHES[0])
+PACKAGED = (
+    ("quickstart:11", ()), ("braunschweig:11", ()), ("suburb:1", ()), ("motorway:1", ()), ("arterial:1", ()),
+    ("junction:1", ()), ("arterial:1", _NADIR), ("motorway:1", _NADIR), ("quickstart:12", _PAN),
+    ("suburb:2", _PAN),
+)  # fmt: skip
+
+Planned = tuple[str, tuple[str, ...]]  # flight and changes of `record_flight.case_of`
+
+
+def plan_flights() -> tuple[Planned, ...]:
+    """Flights that train the models."""
+    return (*PACKAGED, *_hypercube(24, 300, 0))
+
+
+def held_out_flights() -> tuple[Planned, ...]:
+    """Flights with other seeds and other parts of the recorded traffic, which train nothing."""
+    return _hypercube(8, 400, 25)
+
+
+def _hypercube(count: int, first_seed: int, start_s: int) -> tuple[Planned, ...]:
+    """Flights of a Latin hypercube; rates rise so that half are below 2.3 Hz."""
+    flights = []
+    sample = qmc.LatinHypercube(7, optimization="random-cd", seed=first_seed).random(count)
+    for seed, (rate, angle, pitch, haze, azimuth, start, kind) in enumerate(sample, first_seed):
+        rate_hz = round(RATE_HZ[1] ** rate**1.5, 1)
+        off_nadir_deg = round(OFF_NADIR_DEG[0] + (OFF_NADIR_DEG[1] - OFF_NADIR_DEG[0]) * angle, 1)
+        name = KINDS[int(len(KINDS) * kind)]
+        changes = (
+            f"flight.rate_hz={rate_hz}", f"sensor.max_frame_rate_hz={rate_hz}",
+            f"flight.frames={min(max(14, round(6 * rate_hz)), 44)}", f"flight.off_nadir_deg={off_nadir_deg}",
+            f"flight.altitude_m={SLANT_RANGE_M * math.cos(math.radians(off_nadir_deg)):.1f}",
+            f"flight.azimuth_from_sun_deg={round(360 * azimuth) - 180}.0", *PITCHES[int(3 * pitch)],
+            f'atmosphere.aerosol="{HAZES[int(2 * haze)]}"', "scene.material_variation=1",
+        )  # fmt: skip
+        if name != "embedded":  # whose own seed drives other traffic
+            changes += (f"scene.seed={seed}", f"flight.start_s={round(20 * start) + start_s}.0")
+        flights.append((f"{name}:{seed}", changes))
+    return tuple(flights)
+
+
+def recorded(folder: Path, flight: str, changes: tuple[str, ...]) -> Recording:
+    """Read a flight's recording, or simulate it and write one."""
+    path = folder / f"{flight.replace(':', '-')}-{content_hash(' '.join(changes), 8)}.nc"
+    case = case_of(flight, changes)
+    if not path.exists():
+        write_recording(path, record_case(case))
+    return read_recording(path, case)
+
+
+def record(folder: Path) -> None:
+    """Record all flights."""
+    for flight, changes in (*plan_flights(), *held_out_flights()):
+        recorded(folder, flight, changes)
+
+
+def channels_of(recording: Recording) -> tuple[str, ...]:
+    """Channels that a recording trains."""
+    return CHANNELS if recording.case.sensor.has_stokes else ("pan",)
+
+
+def validity(more: Mapping[str, object]) -> dict[str, object]:
+    """Range in which the models hold."""
+    names = [" ".join((name, *changes)) for name, changes in PACKAGED]
+    return {
+        "detector": "mosaic", "gsd_m": [0.375, 0.75], "rate_hz": list(RATE_HZ),
+        "off_nadir_deg": list(OFF_NADIR_DEG), **more,
+        "flights": [*names, "24 of a Latin hypercube (tools/calibrate.py)"],
+    }  # fmt: skip
+
+
 # ---- detector `mosaic`
 
-_NADIR = ("flight.off_nadir_deg=8.0", "flight.altitude_m=2970.0")
-_VARIED = ("scene.material_variation=1", "flight.frames=24", "sensor.rows=280", "sensor.columns=440")
-_60_DEG = ("flight.off_nadir_deg=60.0", "flight.altitude_m=1500.0", "flight.azimuth_from_sun_deg=150")
-MOSAIC_FLIGHTS = (
-    ("quickstart:11", ()), ("braunschweig:11", ()), ("suburb:1", ()), ("arterial:1", ()), ("motorway:1", ()),
-    ("junction:1", ()), ("arterial:1", _NADIR),
-    ("quickstart:13", (*_VARIED, "flight.azimuth_from_sun_deg=0")),
-    ("arterial:3", (*_VARIED, "flight.off_nadir_deg=25.0", "flight.altitude_m=2719.0")),
-    ("quickstart:14", (*_VARIED, "flight.frames=56", "flight.rate_hz=10", "sensor.max_frame_rate_hz=10")),
-    ("embedded:23", (*_VARIED, "sensor.pitch_um=10.0", "flight.azimuth_from_sun_deg=180")),
-    ("suburb:3", (*_VARIED, *_60_DEG)),
-)  # fmt: skip
 SETTLED_S = 4.0  # before it the ground is still being learnt
 LIKELY = 3.0  # nat from which a peak's place counts among the residuals
-# where the fit holds
-VALID = {
-    "detector": "mosaic", "gsd_m": [0.44, 0.75], "rate_hz": [2.0, 10.0], "off_nadir_deg": [8.0, 50.0],
-    "max_speed_m_s": [22.0], "flights": [" ".join((name, *keys)) for name, keys in MOSAIC_FLIGHTS],
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -111,10 +181,10 @@ class Peaks:
     residual_m: np.ndarray
 
 
-def label_flight(recording: Recording, sensor: str, channel: str) -> Peaks:
+def label_flight(recording: Recording, channel: str) -> Peaks:
     """Collect the peaks of a simulation in a channel, after background learning."""
     detector, state, times_s, parts = MosaicDetector(DetectDesign()), None, [], []
-    for frame, truth in zip(recording.sensor_frames(sensor), recording.truths, strict=True):
+    for frame, truth in zip(recording.frames, recording.truths, strict=True):
         frame = frame_for(frame, channel, frame.time_s - times_s[-1] if times_s else 0.0)
         state = detector.start(frame) if state is None else state
         found = detector.detect(state, frame)
@@ -203,14 +273,16 @@ def residuals(data: Peaks, law: np.ndarray) -> dict[str, float]:
     return {name: round(float(value), 2) for name, value in found.items()}
 
 
-def calibrate_mosaic() -> None:
+def fit_detector(folder: Path) -> None:
     """Fit the models of peaks, and write ``mosaic.toml``."""
     data: dict[str, list[Peaks]] = {channel: [] for channel in CHANNELS}
-    for flight, changes in MOSAIC_FLIGHTS:
-        recording = record_flight(flight, changes)
-        for channel in CHANNELS:
-            data[channel].append(label_flight(recording, "own", channel))
-        data["pan"].append(label_flight(recording, "pan", "pan"))
+    for planned in plan_flights():
+        recording = recorded(folder, *planned)
+        for channel in channels_of(recording):
+            data[channel].append(label_flight(recording, channel))
+    data = {
+        channel: [one for one in sets if one.vehicle.sum() >= MIN_LABELS] for channel, sets in data.items()
+    }
     laws = {channel: fit_peaks(sets) for channel, sets in data.items()}
     shares = {channel: detection_ratio(sets, laws[channel]) for channel, sets in data.items()}
     places = {channel: residuals(concatenate_peaks(sets), laws[channel]) for channel, sets in data.items()}
@@ -221,59 +293,50 @@ def calibrate_mosaic() -> None:
     print(shares, places)
     models = {channel: LogisticModel(FEATURES[channel], law[0], law[1:]) for channel, law in laws.items()}
     ratios = {channel: round(share, 2) for channel, share in shares.items()}
-    constants = {"place": places, "detection_ratio": ratios}
-    write_calibration("mosaic", Calibration("tools/calibrate.py mosaic", VALID, models, constants))
+    valid = validity({"max_speed_m_s": [22.0]})
+    write_calibration("mosaic", Calibration(SOURCE, valid, models, {"place": places, "detection_ratio": ratios}))
 
 
 # ---- existence models of the tracker
 
-EXISTENCE_FLIGHTS = (
-    ("quickstart:11", ()), ("braunschweig:11", ()), ("suburb:1", ()), ("motorway:1", ()), ("arterial:1", ()),
-    ("junction:1", ()), ("arterial:1", _NADIR), ("motorway:1", _NADIR),
-)  # fmt: skip
-EXISTENCE_VALID = {
-    "detector": "mosaic", "gsd_m": [0.75], "rate_hz": [2.0], "off_nadir_deg": [8.0, 50.0],
-    "speed_m_s": [0.0, 33.0], "flights": [" ".join((name, *keys)) for name, keys in EXISTENCE_FLIGHTS],
-}  # fmt: skip
 SETTLED_FRAMES = 4  # before it next to nothing is confirmed
 LAG_S = 1.5
+ALLOWED = 0.1  # share of false tracks in the check
 
 LabelledTracks = tuple[np.ndarray, np.ndarray]  # features, and 1 for right and 0 for false tracks
 
 
 @dataclass(frozen=True)
 class Flight:
-    """Detections of a packaged case in a channel: time, detections, grid and truth of each frame."""
+    """Detections of a simulation in a channel: time, detections, grid and truth of each frame."""
 
-    case: str
-    seed: int
+    case: Case
     channel: str
     extent_m: tuple[float, float, float, float]
     found: list[tuple[float, track.Detections, track.Grid, xr.Dataset]]
 
     def states(self, keys: Mapping[str, object] | None = None) -> Iterator[track.TrackerState]:
         """Yield the tracker after each frame, with some keys changed."""
-        state = track.start(design_of(self.case, self.channel, keys or {}), self.seed)
+        state = track.start(design_of(self.case, self.channel, keys or {}), self.case.seed)
         for time_s, one, grid, _ in self.found:
             state = track.step_detections(state, one, time_s, grid)
             yield state
 
 
-def design_of(case: str, channel: str, keys: Mapping[str, object]) -> track.TrackDesign:
-    """Make the packaged case's tracker of a channel, with some keys changed."""
-    own = {"query.policy": "none", "detect.channel": channel}
-    return Case.from_toml(find_case(case)).track.replace({**own, **keys})
+def design_of(case: Case, channel: str, keys: Mapping[str, object]) -> track.TrackDesign:
+    """Make a case's tracker of a channel, with some keys changed."""
+    return case.track.replace({"query.policy": "none", "detect.channel": channel, **keys})
 
 
 def detect_flight(recording: Recording, channel: str) -> Flight:
     """Detect the vehicles of a recorded simulation."""
     case = recording.case
-    state, found = track.start(design_of(case.name, channel, {}), case.seed), []
-    for frame, truth in zip(recording.sensor_frames(), recording.truths, strict=True):
+    state, found = track.start(design_of(case, channel, {}), case.seed), []
+    for frame, truth in zip(recording.frames, recording.truths, strict=True):
         state, _ = track.step(state, frame)
         if state.grid is not None:
             found.append((frame.time_s, state.detections, state.grid, truth))
-    return Flight(case.name, case.seed, channel, recording.extent_m, found)
+    return Flight(case, channel, recording.extent_m, found)
 
 
 def at_once(flight: Flight) -> LabelledTracks:
@@ -322,42 +385,54 @@ def fit_tracks(sets: Sequence[LabelledTracks]) -> np.ndarray:
     return fit_logistic(features, right, weight)
 
 
-def write(name: str, fitted: Mapping[str, np.ndarray]) -> None:
-    """Put fitted models into a calibration file."""
-    old = read_calibration(name)
-    models = {
-        channel: LogisticModel(old.models[channel].features, float(w[0]), w[1:])
-        for channel, w in fitted.items()
-    }
-    valid = EXISTENCE_VALID | {key: old.valid[key] for key in ("lag_s",) if key in old.valid}
-    found = replace(old, source="tools/calibrate.py existence", valid=valid, models=models)
-    write_calibration(name, found)
-
-
-def calibrate_existence() -> None:
+def fit_reporting(folder: Path) -> None:
     """Fit the existence models without and with a lag, and write both files."""
     flown: dict[str, list[Flight]] = {channel: [] for channel in CHANNELS}
-    for flight, changes in EXISTENCE_FLIGHTS:
-        recording = record_flight(flight, changes)
-        for channel in CHANNELS:
+    for planned in plan_flights():
+        recording = recorded(folder, *planned)
+        for channel in channels_of(recording):
             flown[channel].append(detect_flight(recording, channel))
     for name, labelled in (("existence", at_once), ("existence_smoothed", later)):
-        fitted = {
-            channel: fit_tracks([labelled(one) for one in flights]) for channel, flights in flown.items()
-        }
-        write(name, fitted)
-        for channel, model in read_calibration(name).models.items():
-            print(channel, model.intercept, dict(zip(model.features, model.weights.tolist(), strict=True)))
+        old, models = read_calibration(name), {}
+        for channel, flights in flown.items():
+            sets = [one for one in map(labelled, flights) if one[1].sum() >= MIN_LABELS]
+            law = fit_tracks(sets)
+            models[channel] = LogisticModel(old.models[channel].features, float(law[0]), law[1:])
+        lag = {"lag_s": [LAG_S]} if name == "existence_smoothed" else {}
+        valid = validity({"speed_m_s": [0.0, 33.0], **lag})
+        write_calibration(name, replace(old, source=SOURCE, valid=valid, models=models))
+
+
+def check(folder: Path) -> None:
+    """Print completeness and share of false tracks of the held-out flights, where 10 % may be false."""
+    for planned in held_out_flights():
+        recording = recorded(folder, *planned)
+        for channel in channels_of(recording):
+            flight = detect_flight(recording, channel)
+            reports = track.report_epochs(flight.states({"reporting.max_false_share": ALLOWED}))
+            pairs = list(zip(reports, flight.found, strict=True))[SETTLED_FRAMES:]
+            scores = [metrics.score_epoch(one, truth, flight.extent_m) for one, (*_, truth) in pairs]
+            right, false, visible = (
+                sum(int(getattr(one, name).sum()) for one in scores) for name in ("valid", "false", "visible")
+            )
+            print(
+                f"{planned[0]:16}{channel:6}{visible:6} visible{right / max(visible, 1):6.2f} reported"
+                f"{false / max(right + false, 1):7.3f} false", flush=True
+            )  # fmt: skip
 
 
 def main() -> None:
-    """Fit the models that are named."""
-    parts = {"mosaic": calibrate_mosaic, "existence": calibrate_existence}
+    """Run the steps that are named."""
+    steps = {"record": record, "detector": fit_detector, "reporting": fit_reporting, "check": check}
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("part", choices=parts)
-    parts[parser.parse_args().part]()
+    parser.add_argument("folder", type=Path, help="recordings, about 1 GB")
+    parser.add_argument("--only", nargs="+", choices=steps, default=list(steps))
+    arguments = parser.parse_args()
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    for name in arguments.only:
+        steps[name](arguments.folder)
 
 
 if __name__ == "__main__":

@@ -1,18 +1,14 @@
-"""Fly a case once and keep in memory what its detectors may see, to try any of them on the same light.
+"""Simulate a case without trackers and keep what detectors may see, to try any of them on the same light.
 
-A recording holds three sensors behind the same lens, of the same light, poses and truth:
-
-- ``own``: the case's own;
-- ``unpolarized``: the same behind a depolarizer (S1 = S2 = 0): what is found without polarization;
-- ``pan``: every element panchromatic.
-
-Nobody asks for spectra. A flight of `quickstart` takes about 1 GB. `tools/calibrate.py mosaic` and
-`benchmarks/detectors.py` use it.
+`write_recording` keeps what the detector `mosaic` needs, about 1 MB for each frame. Nobody asks for spectra.
+`tools/calibrate.py` and the benchmarks of detectors and trackers use it.
 """
 
+import json
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -21,50 +17,37 @@ from glintrack import track
 from glintrack.camera import Camera, Pose
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.core.arrays import Array
 from glintrack.core.records import Mosaic
 from glintrack.dataset.plan import STANDARD_CITIES
+from glintrack.io.netcdf import read_dataset, write_dataset
 from glintrack.loop import frame_rngs, simulate
 from glintrack.ortho import orthorectify
 from glintrack.results.epoch import Epoch
-from glintrack.sensor import array_readout, build_sensor, frame_of, mosaic_of, serve, smear
+from glintrack.sensor import array_readout, frame_of, mosaic_of, serve, smear
 from glintrack.track.detect.detections import no_detections
-
-SENSORS = ("own", "unpolarized", "pan")
+from glintrack.track.detect.frame import Grid
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One flight as three sensors saw it.
+    """One simulated flight.
 
     Parameters
     ----------
     case
-        The design flown.
-    cameras
-        Of the mosaics, by sensor.
+        Design of the flight.
     frames
-        Time, reported pose and, by sensor, rectified image and mosaic.
+        Frames for a tracker, with reported poses.
     truths
-        Of each frame, with ``visible_fraction``.
-    terrain, lanes, extent_m
-        Of the city.
+        Truth of each frame, with ``visible_fraction``.
+    extent_m
+        Window of the city: west, south, east, north. [m]
     """
 
     case: Case
-    cameras: dict[str, Camera]
-    frames: tuple[tuple[float, Pose, dict[str, tuple[xr.Dataset, Mosaic]]], ...]
+    frames: tuple[track.Frame, ...]
     truths: tuple[xr.Dataset, ...]
-    terrain: xr.Dataset
-    lanes: tuple[Array, ...]
     extent_m: tuple[float, float, float, float]
-
-    def sensor_frames(self, sensor: str = "own") -> Iterator[track.Frame]:
-        """Yield the frames for a tracker."""
-        camera = self.cameras[sensor]
-        for time_s, pose, pictures in self.frames:
-            image, mosaic = pictures[sensor]
-            yield track.Frame(time_s, image, mosaic, camera, pose, self.terrain)
 
 
 class _Blind:
@@ -81,43 +64,31 @@ class _Blind:
 
 
 def record_case(case: Case) -> Recording:
-    """Fly a case without trackers."""
+    """Simulate a case without trackers."""
     case = case.replace({"channels": ("pan",), "track.query.policy": "none"})
-    others = {
-        "unpolarized": case.sensor.replace({"optics.depolarizer": True}),
-        "pan": case.sensor.replace({"layout": "pan", "demosaic": "superpixel"}),
-    }
-    frames, truths, kept, built = [], [], {}, {}
+    frames, truths, extents = [], [], []
 
     def watch(epoch: Epoch) -> None:
         true_frame, city = epoch.true_frame, epoch.city
-        pose, sensors = true_frame.reported_pose, {}
-        if not built:
-            built.update((n, build_sensor(d, epoch.sky.wavelength_um)) for n, d in others.items())
-        for name in SENSORS:
-            sensor = built.get(name, true_frame.sensor)
-            light = smear(true_frame.light, true_frame.motion)(sensor.channels).values
-            kept.setdefault("cameras", {})[name] = sensor.camera
-            measured = array_readout(light, sensor, frame_rngs(case.seed, epoch.index).noise)
-            served = serve((), sensor, pose)
-            frame = frame_of(measured, sensor, served, epoch.time_s)
-            image = orthorectify(
-                frame, camera=sensor.camera, terrain=city.terrain, gsd_m=case.ortho.gsd_m,
-                area_m=city.extent_m, method=case.ortho.method, reported_pose=pose,
-            )  # fmt: skip
-            sensors[name] = image, mosaic_of(measured, sensor, served)
-        frames.append((epoch.time_s, pose, sensors))
+        pose, sensor = true_frame.reported_pose, true_frame.sensor
+        light = smear(true_frame.light, true_frame.motion)(sensor.channels).values
+        measured = array_readout(light, sensor, frame_rngs(case.seed, epoch.index).noise)
+        served = serve((), sensor, pose)
+        image = orthorectify(
+            frame_of(measured, sensor, served, epoch.time_s), camera=sensor.camera, terrain=city.terrain,
+            gsd_m=case.ortho.gsd_m, area_m=city.extent_m, method=case.ortho.method, reported_pose=pose,
+        )  # fmt: skip
+        mosaic = mosaic_of(measured, sensor, served)
+        frames.append(track.Frame(epoch.time_s, image, mosaic, sensor.camera, pose, city.terrain))
         truths.append(true_frame.truth)
-        kept.update(
-            terrain=city.terrain, lanes=tuple(np.asarray(l) for l in city.lanes), extent_m=city.extent_m
-        )
+        extents.append(city.extent_m)
 
     simulate(case, watch, trackers={"none": case.track}, detectors={"none": _Blind()})
-    return Recording(case, frames=tuple(frames), truths=tuple(truths), **kept)
+    return Recording(case, tuple(frames), tuple(truths), extents[-1])
 
 
-def record_flight(flight: str, changes: Sequence[str] = ()) -> Recording:
-    """Record a packaged case, or a city with the flight of `quickstart`.
+def case_of(flight: str, changes: Sequence[str] = ()) -> Case:
+    """Make a packaged case, or a city with the flight of `quickstart`.
 
     Parameters
     ----------
@@ -137,4 +108,52 @@ def record_flight(flight: str, changes: Sequence[str] = ()) -> Recording:
     packaged = "quickstart" if name in ("embedded", "berlin", "wildau") else name
     pairs = [change.split("=", 1) for change in changes]
     values = {key: tomllib.loads(f"value = {value}")["value"] for key, value in pairs}
-    return record_case(Case.from_toml(find_case(packaged)).replace({**own, **values}))
+    return Case.from_toml(find_case(packaged)).replace({**own, **values})
+
+
+def record_flight(flight: str, changes: Sequence[str] = ()) -> Recording:
+    """Record a case (see `case_of`)."""
+    return record_case(case_of(flight, changes))
+
+
+def write_recording(path: Path, recording: Recording) -> None:
+    """Write a recording without its images, of which detectors for mosaics need the grid."""
+    first, elements = recording.frames[0], ("time", "row", "column")
+    truths = [
+        truth.assign(frame=("vehicle", np.full(truth.sizes["vehicle"], k)))
+        for k, truth in enumerate(recording.truths)
+    ]
+    mosaics = [frame.mosaic for frame in recording.frames]
+    poses = [[v for v in vars(one.pose).values() if not isinstance(v, str)] for one in recording.frames]
+    kept = xr.concat(truths, "vehicle").assign(
+        electrons=(elements, np.stack([one.electrons for one in mosaics])),
+        sigma_e=(elements, np.stack([one.sigma_e for one in mosaics])),
+        gains=(("side", "side2", "component"), first.mosaic.gains),
+        pose=(("time", "angle"), poses),
+        ground=first.terrain["height"].rename(y="north", x="east"),
+        **{name: first.image[name] for name in "yx"},
+    )
+    about = {
+        "layout": json.dumps(first.mosaic.layout), "extent_m": recording.extent_m,
+        "lens": [first.camera.focal_length_m, first.camera.pitch_m],
+    }  # fmt: skip
+    write_dataset(path, kept.assign_coords(time=[one.time_s for one in recording.frames]).assign_attrs(about))
+
+
+def read_recording(path: Path, case: Case) -> Recording:
+    """Read a recording of a case."""
+    kept = read_dataset(path, str(path))
+    layout = tuple(tuple(row) for row in json.loads(kept.attrs["layout"]))
+    names = [n for n, v in kept.data_vars.items() if v.dims == ("vehicle",) and n != "frame"]
+    camera = Camera(*kept.attrs["lens"], *kept["electrons"].shape[1:])
+    terrain = xr.Dataset({"height": kept["ground"].rename(north="y", east="x")})
+    y, x = kept["y"].values, kept["x"].values
+    grid = Grid((len(y), len(x)), (float(x[0]), float(y[0])), float(x[1] - x[0]))
+    frames, truths = [], []
+    for k, time_s in enumerate(kept["time"].values.tolist()):
+        one = kept.isel(time=k)
+        mosaic = Mosaic(one["electrons"].values, one["sigma_e"].values, layout, kept["gains"].values)
+        pose = Pose(*one["pose"].values.tolist(), "reported")
+        frames.append(track.Frame(time_s, None, mosaic, camera, pose, terrain, grid=grid))
+        truths.append(kept[names].isel(vehicle=np.flatnonzero(kept["frame"].values == k)))
+    return Recording(case, tuple(frames), tuple(truths), tuple(kept.attrs["extent_m"]))

@@ -27,6 +27,7 @@ from glintrack.track.initiation import Targets, find_rows
 MIN_LOG_ODDS = -0.7  # a track with lower odds is never reported
 MAX_MISSES = 2.0  # limit of the misses
 MIN_SPEED_M_S, MAX_AGE_S = 6.0, 5.0  # slower motion lowers the odds; limit of the age
+MAX_SPEED_M_S = 15.0  # limit of the speed of young tracks
 NEIGHBOUR_M, SAME_SPEED_M_S = 12.0, 4.0
 QUEUE_M, QUEUE = 40.0, 4  # distance and number of the tracks of a queue
 _MAX_NEIGHBOURS = 24
@@ -108,7 +109,8 @@ def existence_features(
     - age up to 5 s, and times that deficit;
     - number of tracks in the queue, from 0 to 1 for `QUEUE`, times both proximities and the deficit, too: a
       near track with a similar velocity is another vehicle in a queue, else probably the same one;
-    - logarithm of the number of other vehicles that had the track's velocity on its line.
+    - logarithm of the number of other vehicles that had the track's velocity on its line;
+    - speed up to 15 m/s over 1 s plus the age: chance detections give a young track a high speed.
     """
     speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
     travel_m = np.hypot(*(targets.position - targets.first_position).T)
@@ -122,6 +124,7 @@ def existence_features(
         np.minimum(targets.misses, MAX_MISSES), recent_ratio, np.maximum(recent_ratio, 0.0), slow, co_moving,
         near, recent_ratio * near, deficit_m_s * near, age, deficit_m_s * age,
         queue, queue * co_moving, queue * near, queue * slow, votes,
+        np.minimum(speed, MAX_SPEED_M_S) / (1 + targets.age_s),
     ]  # fmt: skip
     return np.stack(columns, axis=-1).astype(float)
 
