@@ -91,7 +91,13 @@ PITCHES = (  # small arrays, so that a flight takes less than a minute
 )  # fmt: skip
 HAZES = ("clear", "urban")
 _NADIR = ("flight.off_nadir_deg=8.0", "flight.altitude_m=2970.0")
-_PAN = ('sensor.layout="pan"', 'sensor.demosaic="superpixel"', "flight.frames=20", *PITCHES[0])
+_PAN = (
+    'channels=["pan"]',
+    'sensor.layout="pan"',
+    'sensor.demosaic="superpixel"',
+    "flight.frames=20",
+    *PITCHES[0],
+)
 PACKAGED = (
     ("quickstart:11", ()), ("braunschweig:11", ()), ("suburb:1", ()), ("motorway:1", ()), ("arterial:1", ()),
     ("junction:1", ()), ("arterial:1", _NADIR), ("motorway:1", _NADIR), ("quickstart:12", _PAN),
