@@ -292,15 +292,12 @@ def fit_detector(folder: Path) -> None:
     laws = {channel: fit_peaks(sets) for channel, sets in data.items()}
     shares = {channel: detection_ratio(sets, laws[channel]) for channel, sets in data.items()}
     places = {channel: residuals(concatenate_peaks(sets), laws[channel]) for channel, sets in data.items()}
-    for channel, law in laws.items():
-        vehicle = concatenate_peaks(data[channel]).vehicle
-        counts = f"{int(vehicle.sum())} vehicles, {int((1 - vehicle).sum())} of clutter"
-        print(f"{channel}: {np.round(law, 2)}, {counts}")
     print(shares, places)
     models = {channel: LogisticModel(FEATURES[channel], law[0], law[1:]) for channel, law in laws.items()}
     ratios = {channel: round(share, 2) for channel, share in shares.items()}
+    constants = {"place": places, "detection_ratio": ratios}
     valid = validity({"max_speed_m_s": [22.0]})
-    write_calibration("mosaic", Calibration(SOURCE, valid, models, {"place": places, "detection_ratio": ratios}))
+    write_calibration("mosaic", Calibration(SOURCE, valid, models, constants))
 
 
 # ---- existence models of the tracker
