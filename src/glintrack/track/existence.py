@@ -3,7 +3,7 @@
 Confirmation decides whether a target is tracked, and may be generous. Reporting decides whether it is a
 vehicle near its estimated position, and may change at every epoch. The log odds of existence are a logistic
 model of the tracker's observations (``data/calibration/existence.toml``), fitted for the detector `mosaic` by
-``python tools/calibrate.py existence``.
+``python tools/calibrate.py``.
 
 A long or tall vehicle is detected in more than one place, and each place gets a track. Two vehicles in one
 lane keep a distance, and two side by side soon differ in velocity. Two tracks of one vehicle stay close with

@@ -4,7 +4,7 @@ With existence reporting, the tracks of an epoch are reported `ReportingDesign.l
 which were measured again, lost, or detected later. A track in a gap was on the straight line between two
 measurements. One first measured within the lag is extrapolated back along its motion. The log odds of
 existence are a logistic model of these observations (``data/calibration/existence_smoothed.toml``;
-``python tools/calibrate.py existence`` fits it). Tracking and queries for spectra do not wait.
+``python tools/calibrate.py`` fits it). Tracking and queries for spectra do not wait.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

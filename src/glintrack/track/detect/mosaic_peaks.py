@@ -10,7 +10,7 @@
    frame has at most the strength of the peak itself, so that one strong glint elsewhere gives no support.
 5. A logistic model of these features, in ``all`` with those of signed change (`mosaic_windows`), gives the
    log-likelihood ratio of vehicle against clutter. Its constants are in ``data/calibration/mosaic.toml``;
-   ``python tools/calibrate.py mosaic`` fits and writes them.
+   ``python tools/calibrate.py`` fits and writes them.
 6. In ``all`` one peak for each vehicle: roof and shadow, or front and rear, may be two.
 """
 
