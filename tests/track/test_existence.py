@@ -115,8 +115,9 @@ def test_a_vehicle_does_not_lower_its_own_odds_by_its_second_track():
 
 def reported_of(channel, targets, candidate, primary, false_share):
     odds = existence.group_log_odds(channel, targets, primary, no_flow(), 0.0)
+    moving = np.ones(len(targets), bool)
     return existence.select_reported_tracks(
-        odds, candidate & (primary == np.arange(len(targets))), false_share
+        odds, candidate & (primary == np.arange(len(targets))), moving, false_share
     )
 
 
@@ -139,6 +140,25 @@ def test_such_a_share_is_reported_as_may_be_false_the_likeliest_first():
         reported_of("pan", turned, all_, own, 0.1)[::-1],
         reported_of("pan", targets, all_, own, 0.1),
     )
+
+
+def test_tracks_that_stand_make_no_room_for_false_ones():
+    odds, share = np.r_[np.full(20, 4.0), np.full(20, 2.0), np.zeros(20)], 0.1
+    every, stands = np.ones(60, bool), np.arange(60) < 20
+    alike = existence.select_reported_tracks(odds, every, every, share)
+    reported = existence.select_reported_tracks(odds, every, ~stands, share)
+    assert reported[stands].all()
+    assert 0 < reported[~stands].sum() < alike[~stands].sum()
+    none = existence.select_reported_tracks(odds, every, ~every, share)  # all stand: the sure ones
+    np.testing.assert_array_equal(none, odds == 4.0)
+
+
+def test_a_young_track_that_is_fast_by_chance_has_lower_odds_without_polarization():
+    old = followed([0.0], speed_m_s=14.0)
+    young = replace(old, age_s=np.array([0.5]))
+    slow = replace(young, mean=young.mean * [1, 1, 1, 0.5])
+    gain = log_odds("pan", slow) - log_odds("pan", young)
+    assert gain > log_odds("pan", replace(old, mean=slow.mean)) - log_odds("pan", old)
 
 
 def test_one_is_reported_for_all_on_its_vehicle_as_the_likeliest_of_them():

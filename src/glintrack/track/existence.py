@@ -74,9 +74,15 @@ def group_log_odds(
 
 
 def select_reported_tracks(
-    log_odds: Float[Array, "target"], candidate: Bool[Array, "target"], max_false_share: float
+    log_odds: Float[Array, "target"],
+    candidate: Bool[Array, "target"],
+    moving: Bool[Array, "target"],
+    max_false_share: float,
 ) -> Bool[Array, "target"]:
-    """Select the most likely vehicles, limited by the expected share of false tracks among them.
+    """Select the most likely vehicles, limited by the expected false tracks per moving one.
+
+    Scores count no vehicle that stands as right: many tracks of such must not make room for false ones. A
+    track that stands is also selected if it is as sure as the share asks.
 
     Parameters
     ----------
@@ -84,14 +90,17 @@ def select_reported_tracks(
         Log odds of existence. [nat]
     candidate
         Mask of the targets that may be reported.
+    moving
+        Mask of the targets that move.
     max_false_share
         Largest expected share of false tracks. [1]
     """
     order = np.flatnonzero(candidate & (log_odds >= MIN_LOG_ODDS))
     order = order[np.argsort(-log_odds[order], kind="stable")]
     out = np.zeros(len(log_odds), bool)
-    count = np.arange(1, len(order) + 1)
-    out[order[np.cumsum(expit(-log_odds[order])) <= max_false_share * count]] = True
+    false, moves = expit(-log_odds[order]), moving[order]
+    sure = ~moves & (false <= max_false_share)
+    out[order[sure | (np.cumsum(false) <= max_false_share * np.cumsum(moves))]] = True
     return out
 
 

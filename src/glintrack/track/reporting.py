@@ -55,8 +55,7 @@ def tracks_to_dataset(
     tentative
         The tracks were confirmed only later: their status is ``tentative``.
     """
-    stopped = np.hypot(*mean[:, 2:].T) < MOVING_SPEED_M_S
-    unmeasured = np.where(stopped, "stopped", "coasted")
+    unmeasured = np.where(is_moving(mean), "coasted", "stopped")
     status = np.full(len(ident), "tentative") if tentative else np.where(coasted, unmeasured, "measured")
     columns = {
         "east_m": (mean[:, 0], "m"),
@@ -76,6 +75,11 @@ def tracks_to_dataset(
     return schema.check(tracks, "tracks")
 
 
+def is_moving(mean: Float[Array, "track 4"]) -> Bool[Array, "track"]:
+    """Return True for states of at least 1 m/s."""
+    return np.hypot(*mean[:, 2:].T) >= MOVING_SPEED_M_S
+
+
 def report(state: TrackerState) -> xr.Dataset:
     """Report the tracks of the last epoch, without a lag, as a Dataset of the schema ``tracks``."""
     targets, shown, design = state.targets, state.targets.confirmed, state.effective_design
@@ -85,7 +89,8 @@ def report(state: TrackerState) -> xr.Dataset:
         primary = existence.primary_targets(state.duplicates, targets)
         odds = existence.group_log_odds(design.detect.channel, targets, primary, state.flow, state.time_s)
         shown = shown & (primary == np.arange(len(targets)))
-        shown = existence.select_reported_tracks(odds, shown, design.reporting.max_false_share)
+        share, moves = design.reporting.max_false_share, is_moving(targets.mean)
+        shown = existence.select_reported_tracks(odds, shown, moves, share)
         targets = existence.move_to_mean_position(targets, primary)
     targets = select(targets, shown)
     return tracks_to_dataset(state.time_s, targets.id, targets.mean, targets.covariance, targets.misses > 0)
@@ -227,7 +232,8 @@ def _report_smoothed(epochs: Sequence[PendingEpoch]) -> xr.Dataset:
     model = read_calibration("existence_smoothed").models[first.design.detect.channel]
     may = ~found.coasted if not reporting.coasted else np.ones(len(found.ident), bool)
     odds = model.log_odds(found.features)
-    reported = existence.select_reported_tracks(odds, may, reporting.max_false_share)
+    moves = is_moving(found.mean)
+    reported = existence.select_reported_tracks(odds, may, moves, reporting.max_false_share)
     return found.select(reported).dataset(first.time_s)
 
 
