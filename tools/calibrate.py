@@ -9,8 +9,8 @@
    Residuals of the likely peaks give height and standard deviations. Masks and places are those of the
    present model: run it twice after a change of the detector.
 3. *Reporting*: label every confirmed track at every frame by the truth, as the scores do: right or false. A
-   track near a standing vehicle says nothing. A model of `existence.existence_features` is fitted to each
-   channel; then one of `reporting.report_candidates`, 1.5 s later.
+   track that moves near a standing vehicle says nothing. A model of `existence.existence_features` is
+   fitted to each channel; then one of `reporting.report_candidates`, 1.5 s later.
 4. *Check*: track held-out flights, and print the share of false tracks where 10 % may be false.
 
 ``--only`` names some steps. Fits are maximum likelihood with a weak ridge and go to ``data/calibration``.
@@ -56,8 +56,7 @@ def write_calibration(name: str, calibration: Calibration) -> None:
         own = {name: round(float(w), 2) for name, w in zip(model.features, model.weights, strict=True)}
         models[key] = {"intercept": round(float(model.intercept), 2), "weights": own}
     values = {"source": calibration.source, "valid": dict(calibration.valid), "models": models}
-    if calibration.constants:
-        values["constants"] = dict(calibration.constants)
+    values |= {"constants": dict(calibration.constants)} if calibration.constants else {}
     calibration_file(name).write_text(to_toml(values), encoding="utf-8")
     read_calibration.cache_clear()
 
@@ -370,10 +369,11 @@ def later(flight: Flight) -> LabelledTracks:
 
 
 def label_tracks(tracks: xr.Dataset, features: np.ndarray, truth: xr.Dataset, extent_m) -> LabelledTracks:
-    """Features of the tracks of a frame that are right or false."""
+    """Features of the tracks that are right or false; one that stands near any vehicle is right."""
     score = metrics.score_epoch(tracks, truth, extent_m)
-    known = score.valid | score.false
-    return features[known], score.valid[known].astype(float)
+    stands = np.hypot(tracks["east_speed_m_s"], tracks["north_speed_m_s"]).values < metrics.MOVING_SPEED_M_S
+    known = score.valid | score.false | stands
+    return features[known], 1.0 - score.false[known]
 
 
 def concatenate_tracks(parts: Sequence[LabelledTracks]) -> LabelledTracks:
@@ -383,9 +383,9 @@ def concatenate_tracks(parts: Sequence[LabelledTracks]) -> LabelledTracks:
 
 
 def fit_tracks(sets: Sequence[LabelledTracks]) -> np.ndarray:
-    """Intercept and weights of the log odds; a flight weighs as the root of its number of labels."""
+    """Intercept and weights of the log odds; a flight weighs as the power 3/4 of its labels."""
     features, right = concatenate_tracks(sets)
-    weight = np.concatenate([np.full(len(y), len(y) ** -0.5) for _, y in sets])
+    weight = np.concatenate([np.full(len(y), len(y) ** -0.25) for _, y in sets])
     return fit_logistic(features, right, weight / weight.sum())
 
 

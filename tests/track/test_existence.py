@@ -143,12 +143,13 @@ def test_such_a_share_is_reported_as_may_be_false_the_likeliest_first():
 
 
 def test_tracks_that_stand_make_no_room_for_false_ones():
-    odds, share = np.r_[np.full(20, 4.0), np.full(20, 2.0), np.zeros(20)], 0.1
+    odds, share = np.r_[np.full(20, 4.0), np.full(20, 3.0), np.zeros(20)], 0.1
     every, stands = np.ones(60, bool), np.arange(60) < 20
     alike = existence.select_reported_tracks(odds, every, every, share)
     reported = existence.select_reported_tracks(odds, every, ~stands, share)
     assert reported[stands].all()
-    assert 0 < reported[~stands].sum() < alike[~stands].sum()
+    assert reported[20:40].all()
+    assert reported[40:].sum() < alike[40:].sum()
     none = existence.select_reported_tracks(odds, every, ~every, share)  # all stand: the sure ones
     np.testing.assert_array_equal(none, odds == 4.0)
 

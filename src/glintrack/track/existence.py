@@ -22,7 +22,7 @@ from scipy.special import expit
 from glintrack.core.arrays import Array
 from glintrack.track.calibration import read_calibration
 from glintrack.track.flow import Flow, count_votes
-from glintrack.track.initiation import Targets, find_rows
+from glintrack.track.initiation import Targets, find_rows, is_stopped
 
 MIN_LOG_ODDS = -0.7  # a track with lower odds is never reported
 MAX_MISSES = 2.0  # limit of the misses
@@ -99,8 +99,10 @@ def select_reported_tracks(
     order = order[np.argsort(-log_odds[order], kind="stable")]
     out = np.zeros(len(log_odds), bool)
     false, moves = expit(-log_odds[order]), moving[order]
+    allowed = np.flatnonzero(np.cumsum(false) <= max_false_share * np.cumsum(moves))
+    rank = np.arange(len(order))
     sure = ~moves & (false <= max_false_share)
-    out[order[sure | (np.cumsum(false) <= max_false_share * np.cumsum(moves))]] = True
+    out[order[sure | (rank <= allowed.max(initial=-1))]] = True
     return out
 
 
@@ -119,7 +121,8 @@ def existence_features(
     - number of tracks in the queue, from 0 to 1 for `QUEUE`, times both proximities and the deficit, too: a
       near track with a similar velocity is another vehicle in a queue, else probably the same one;
     - logarithm of the number of other vehicles that had the track's velocity on its line;
-    - speed up to 15 m/s over 1 s plus the age: chance detections give a young track a high speed.
+    - speed up to 15 m/s over 1 s plus the age: chance detections give a young track a high speed;
+    - 1 for a track that stands after a drive (`is_stopped`): misses are no evidence against it.
     """
     speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
     travel_m = np.hypot(*(targets.position - targets.first_position).T)
@@ -133,7 +136,7 @@ def existence_features(
         np.minimum(targets.misses, MAX_MISSES), recent_ratio, np.maximum(recent_ratio, 0.0), slow, co_moving,
         near, recent_ratio * near, deficit_m_s * near, age, deficit_m_s * age,
         queue, queue * co_moving, queue * near, queue * slow, votes,
-        np.minimum(speed, MAX_SPEED_M_S) / (1 + targets.age_s),
+        np.minimum(speed, MAX_SPEED_M_S) / (1 + targets.age_s), is_stopped(targets),
     ]  # fmt: skip
     return np.stack(columns, axis=-1).astype(float)
 
