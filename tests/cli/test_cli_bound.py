@@ -1,11 +1,15 @@
 """``glintrack bound --task`` as a user meets it."""
 
+import sys
+
 import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from glintrack.bounds import tasks
 from glintrack.cli import bound as command
 from glintrack.cli.app import app
+from glintrack.core.installation import MissingExtraError
 
 ROWS = pd.DataFrame(
     {
@@ -46,11 +50,8 @@ def test_another_ending_is_refused_before_anything_is_measured(tmp_path, asked):
     assert not asked
 
 
-def test_a_missing_extra_is_named(monkeypatch):
-    import glintrack.bounds.appearance as appearance
-    from glintrack.core.installation import MissingExtraError
-
-    assert appearance.require_extra("sklearn.ensemble", "optimize", "learn the appearance of vehicles")
-    monkeypatch.setitem(__import__("sys").modules, "sklearn.ensemble", None)
-    with pytest.raises(MissingExtraError, match="optimize"):
-        appearance.find_unseen([[]], [])
+def test_a_missing_extra_is_named_before_a_city_is_built(monkeypatch):
+    monkeypatch.setitem(sys.modules, "sklearn.ensemble", None)
+    monkeypatch.setattr(tasks, "_observe_city", lambda *_: pytest.fail("a city was simulated"))
+    told = CliRunner().invoke(app, ["bound", "--task", "standing"])
+    assert isinstance(told.exception, MissingExtraError) and "optimize" in str(told.exception)

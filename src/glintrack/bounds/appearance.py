@@ -25,7 +25,6 @@ RATES_PER_KM2 = (50, 200)  # false objects of a frame
 _NEGATIVES = 0.1  # share of the superpixels without a vehicle that are learnt from
 _BACKGROUND = 9  # superpixels along the window of the local median
 _COMPONENTS = {100: 16, 25: 5}  # of the values of a window: of the first plane, and of the others
-_RIDGE = 1e-6
 _TREES = {"max_iter": 80, "learning_rate": 0.1, "max_leaf_nodes": 20, "l2_regularization": 1.0}
 
 
@@ -64,12 +63,11 @@ def find_unseen(learn: Sequence[Sequence[Look]], test: Sequence[Look]) -> dict[s
     -------
     ``vehicles``, and ``found_50`` and ``found_200``, the shares at so many false objects per km² of a frame.
     """
-    log_odds = _fit_learner([look for city in learn for look in city])
+    odds = _fit_learner([look for city in learn for look in city])
     peaks, best, area_km2 = [], [], 0.0
     for look in test:
         empty = _empty(look)
-        odds = log_odds(_windows(look, np.arange(empty.size))).reshape(empty.shape)
-        score = ndimage.uniform_filter(odds, 3)
+        score = ndimage.uniform_filter(odds(_windows(look, np.arange(empty.size))).reshape(empty.shape), 3)
         peaks.append(score[(score == ndimage.maximum_filter(score, 5)) & empty])
         area_km2 += look.superpixel_km2 * score.size
         on = [_on(look, vehicle) for vehicle in np.intersect1d(look.wanted, look.ids)]
@@ -94,8 +92,7 @@ def _fit_learner(looks: Sequence[Look]) -> Callable[[list[Array]], Array]:
     if not np.concatenate(labels).any():
         raise ValueError("`cities` must have vehicles for the task; got none to learn from.")
     joint = [np.concatenate(parts) for parts in zip(*windows, strict=True)]
-    axes = [np.linalg.eigh(np.cov(one.T))[1][:, ::-1] for one in joint]  # by falling variance
-    bases = [one[:, : _COMPONENTS[len(one)]] for one in axes]
+    bases = [np.linalg.eigh(np.cov(one.T))[1][:, -_COMPONENTS[one.shape[1]] :] for one in joint]
     trees = ensemble.HistGradientBoostingClassifier(**_TREES, random_state=0, early_stopping=False)
     trees.fit(_features(joint, bases), np.concatenate(labels))
     return lambda windows: trees.decision_function(_features(windows, bases))
@@ -156,7 +153,7 @@ def recognize_unseen(learn: Sequence[Sequence[Look]], test: Sequence[Look]) -> d
     joint = [np.concatenate(parts) for parts in zip(*map(_differences, learn), strict=True)]
     if min(map(len, (*joint, *own))) < 2:
         raise ValueError("`cities` must have vehicles that are seen in two frames; got too few.")
-    same, other = (np.linalg.inv(d.T @ d / len(d) + _RIDGE * np.eye(d.shape[1])) for d in joint)
+    same, other = (np.linalg.inv(d.T @ d / len(d) + 1e-6 * np.eye(d.shape[1])) for d in joint)
     ratio = [np.einsum("ni,ij,nj->n", d, other - same, d) for d in own]
     above = stats.mannwhitneyu(*ratio).statistic / len(ratio[1])
     return {"vehicles": len(ratio[0]), "auc": float(above / len(ratio[0]))}

@@ -20,6 +20,7 @@ from glintrack.camera import rays
 from glintrack.case.build import Scenario, build_scenario
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
+from glintrack.core.installation import require_extra
 from glintrack.core.progress import step
 from glintrack.loop import frame_rngs
 from glintrack.render import outlines, vehicle_mask
@@ -48,6 +49,8 @@ def measure_tasks(case: Case, task: Task, cities: Sequence[int], frames: int = 3
     """
     if len(set(cities)) < max(len(cities), 2):
         raise ValueError(f"`cities` must be two different seeds at least; got {list(cities)}.")
+    if task != "reacquire":  # before minutes of simulation
+        require_extra("sklearn.ensemble", "optimize", f"measure the task {task!r}")
     score, seen, rows = recognize_unseen if task == "reacquire" else find_unseen, [], []
     for number, seed in enumerate(cities):
         with step(f"city {number + 1} of {len(cities)}"):
