@@ -154,14 +154,6 @@ def test_tracks_that_stand_make_no_room_for_false_ones():
     np.testing.assert_array_equal(none, odds >= 3.0)
 
 
-def test_a_young_track_that_is_fast_by_chance_has_lower_odds_without_polarization():
-    old = followed([0.0], speed_m_s=14.0)
-    young = replace(old, age_s=np.array([0.5]))
-    slow = replace(young, mean=young.mean * [1, 1, 1, 0.5])
-    gain = log_odds("pan", slow) - log_odds("pan", young)
-    assert gain > log_odds("pan", replace(old, mean=slow.mean)) - log_odds("pan", old)
-
-
 def test_one_is_reported_for_all_on_its_vehicle_as_the_likeliest_of_them():
     targets = followed([0.0, 50.0, 100.0], recent_ratio=np.array([-4.0, 4.0, -4.0]))
     primary, all_ = np.array([0, 0, 2]), np.ones(3, bool)
