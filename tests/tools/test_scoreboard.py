@@ -85,7 +85,7 @@ def test_long_signatures_but_not_commands(tmp_path):
 def test_words_outside_code(tmp_path):
     path = tmp_path / "page.md"
     path.write_text("# Three words here\n```bash\nnot these\n```\nand two\n", encoding="utf-8")
-    assert scoreboard.count_words([path]) == 6
+    assert scoreboard.count_words([path]) == 5
 
 
 def test_a_table_with_another_commits_values(tmp_path):
