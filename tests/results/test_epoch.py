@@ -116,5 +116,5 @@ def test_a_run_writes_the_boxes_of_every_frame(three_cars, tmp_path):
 
 
 def test_a_frame_that_is_none_is_refused(three_cars):
-    with pytest.raises(ValueError, match=r"`frame` must lie within the flight's 0 to 12; got 13"):
+    with pytest.raises(ValueError, match=r"`frame` must lie in the flight's 0 to 12; got 13"):
         label_frame(case(), 13)
