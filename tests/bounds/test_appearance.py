@@ -111,7 +111,7 @@ def test_a_vehicle_is_recognized_by_what_differs_between_vehicles(sensors):
 
 def test_cities_without_vehicles_are_refused(sensors):
     (city,) = [looks({"pan": sensors["pan"]}, 1, 2)["pan"]]
-    bare = [Look(one.images, np.full_like(one.ids, -1), one.wanted, one.ignored, KM2) for one in city]
+    bare = [Look(one.images, np.full_like(one.ids, -1), one.targets, one.excluded, KM2) for one in city]
     for learn, test in (([bare], city), ([city], bare)):
         with pytest.raises(ValueError, match="must have vehicles"):
             find_unseen(learn, test)

@@ -6,6 +6,7 @@ from glintrack.case.check import assess_case
 from glintrack.case.design import Case
 from glintrack.case.fitted_range import describe_binning, describe_initiation
 from glintrack.case.packaged import find_case, list_cases
+from glintrack.track.calibration import read_calibration
 
 
 @pytest.mark.parametrize("name", list_cases())
@@ -48,6 +49,14 @@ def test_elements_finer_than_the_fitted_range_are_averaged(pitch_um, line):
     assert describe_binning(case.replace({"track.detect.detector": "median-motion"})) == []
     view = {one.name: one.answer for one in assess_case(case, ["view"])}
     assert view["gsd_across_m"] == view["gsd_along_m"] == "good"
+
+
+def test_each_channel_has_its_own_fitted_range():
+    reporting, detector = read_calibration("existence"), read_calibration("mosaic")
+    assert reporting.valid_range("pan")["rate_hz"] == [2.0]
+    assert reporting.valid_range("all")["rate_hz"] == [1.5, 10.0]
+    assert detector.valid_range("all")["off_nadir_deg"] == [8.0, 50.0]
+    assert detector.valid_range("all")["detector"] == detector.valid["detector"]
 
 
 def test_the_line_of_confirmation_states_the_keys_in_use():

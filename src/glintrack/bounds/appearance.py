@@ -39,14 +39,14 @@ class Look:
         superpixels. Without these the local median is removed. [ln]
     ids, superpixel_km2
         Vehicle at the middle of each element, −1 for none; and mean ground area of a superpixel. [km²]
-    wanted, ignored
+    targets, excluded
         Ids of the vehicles to find or recognize, and of those near which nothing counts as false.
     """
 
     images: Sequence[Float[Array, "row column"]]
     ids: Int[Array, "row column"]
-    wanted: Int[Array, "wanted"]
-    ignored: Int[Array, "ignored"]
+    targets: Int[Array, "target"]
+    excluded: Int[Array, "excluded"]
     superpixel_km2: float
     extra: Sequence[Float[Array, "y x"]] = ()
 
@@ -57,7 +57,7 @@ def superpixels(image: Float[Array, "row column"]) -> Float[Array, "y x"]:
 
 
 def find_unseen(learn: Sequence[Sequence[Look]], test: Sequence[Look]) -> dict[str, float]:
-    """Share of the wanted vehicles of a city that is found by what was learnt in others.
+    """Share of the target vehicles of a city that is found by what was learnt in others.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def find_unseen(learn: Sequence[Sequence[Look]], test: Sequence[Look]) -> dict[s
         score = ndimage.uniform_filter(odds(_windows(look, np.arange(empty.size))).reshape(empty.shape), 3)
         peaks.append(score[(score == ndimage.maximum_filter(score, 5)) & empty])
         area_km2 += look.superpixel_km2 * score.size
-        on = [_on(look, vehicle) for vehicle in np.intersect1d(look.wanted, look.ids)]
+        on = [_on(look, vehicle) for vehicle in np.intersect1d(look.targets, look.ids)]
         best += [score[one].max() for one in on if one.sum() >= 2]
     false = np.sort(np.concatenate(peaks))[::-1]
     if not best or not len(false):
@@ -85,7 +85,7 @@ def _fit_learner(looks: Sequence[Look]) -> Callable[[list[Array]], Array]:
     ensemble = require_extra("sklearn.ensemble", "optimize", "learn the appearance of vehicles")
     rng, windows, labels = np.random.default_rng(0), [], []
     for look in looks:
-        on = _on(look, look.wanted if look.extra else look.ignored)
+        on = _on(look, look.targets if look.extra else look.excluded)
         chosen = np.flatnonzero(on | (_empty(look) & (rng.random(on.shape) < _NEGATIVES)))
         windows.append(_windows(look, chosen))
         labels.append(on.ravel()[chosen])
@@ -103,7 +103,7 @@ def _on(look: Look, vehicles: Array) -> Array:
 
 
 def _empty(look: Look) -> Array:  # away from vehicles, and from the shadows of moving ones
-    near = superpixels(np.isin(look.ids, look.ignored).astype(float)) > 0
+    near = superpixels(np.isin(look.ids, look.excluded).astype(float)) > 0
     return np.logical_not(ndimage.binary_dilation(near, iterations=4 if look.extra else 2))
 
 
@@ -163,7 +163,7 @@ def _differences(looks: Sequence[Look]) -> tuple[Array, Array]:
     """Differences of the channels of looks in two frames, at the same vehicle and at another."""
     seen, out = [], ([], [])
     for number, look in enumerate(looks):
-        for vehicle in np.intersect1d(look.wanted, look.ids):
+        for vehicle in np.intersect1d(look.targets, look.ids):
             on = _kinds(look.ids == vehicle)
             if all(one.any() for one in on):  # some of each place in the superpixel
                 means = [kind[k].mean() for i in look.images for k, kind in zip(on, _kinds(i), strict=True)]

@@ -125,11 +125,11 @@ def _vehicles(scenario: Scenario, time_s: float, task: Task) -> dict[str, Any]:
     ids = vehicle_mask(snapshot, camera, pose, observer.tracer, outlines(snapshot, camera, pose))
     driving, every = truth["vehicle"].values, np.unique(ids[ids >= 0])
     moving = driving[metrics.is_moving(truth)]
-    wanted = {"standing": np.setdiff1d(every, moving), "moving": moving, "reacquire": driving}[task]
-    ignored = driving if task == "moving" else every
+    targets = {"standing": np.setdiff1d(every, moving), "moving": moving, "reacquire": driving}[task]
+    excluded = driving if task == "moving" else every
     down = max(-float(rays(camera, pose, np.array([camera.rows, camera.columns]) / 2)[2]), 0.1)
     area_km2 = (2e-3 * scenario.sensor.design.ifov_rad * pose.up_m / down) ** 2 / down
-    return {"ids": ids, "wanted": wanted, "ignored": ignored, "superpixel_km2": area_km2}
+    return {"ids": ids, "targets": targets, "excluded": excluded, "superpixel_km2": area_km2}
 
 
 def _logarithm(reading: Array) -> Array:

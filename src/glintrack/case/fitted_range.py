@@ -70,12 +70,13 @@ def fitted_quantities(case: Case) -> dict[str, FittedQuantity]:
     """Quantities of a case for which detector and tracker have a fitted range, by name."""
     design = case.track.effective(True)
     detector = design.detect.detector.replace("auto", "mosaic")  # which it is in a case
-    ranges = [read_calibration(detector.replace("-", "_")).valid]
+    names = [detector.replace("-", "_")]
     if design.reporting.uses_existence:
-        ranges += [read_calibration(name).valid for name in ("existence", "existence_smoothed")]
+        names += ["existence", "existence_smoothed"]
+    ranges = [read_calibration(name).valid_range(channel) for name in names for channel in case.channels]
     if design.initiation.flow_velocity:
         ranges.append(read_calibration("flow").valid)
-    ranges += [read_calibration("initiation").valid[design.initiation.rules]]
+    ranges.append(read_calibration("initiation").valid_range(design.initiation.rules))
     values = {"rate_hz": case.flight.rate_hz, "max_speed_m_s": design.detect.max_speed_m_s}
     if design.reporting.effective_lag_s:
         values["lag_s"] = design.reporting.lag_s

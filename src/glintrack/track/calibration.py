@@ -49,7 +49,7 @@ class Calibration:
     source
         Script and simulated flights of the fit.
     valid
-        Range in which the models hold, by quantity.
+        Range in which the models hold, by quantity; under a model's name what differs for it.
     models
         By name, for most files the channel: ``pan``, ``dolp`` or ``all``.
     constants
@@ -60,6 +60,10 @@ class Calibration:
     valid: Mapping[str, Any]
     models: Mapping[str, LogisticModel]
     constants: Mapping[str, Any]
+
+    def valid_range(self, model: str) -> dict[str, Any]:
+        """Range in which one model holds, by quantity."""
+        return {**self.valid, **self.valid.get(model, {})}
 
 
 @cache

@@ -121,7 +121,7 @@ def existence_features(
     - number of tracks in the queue, from 0 to 1 for `QUEUE`, times both proximities and the deficit, too: a
       near track with a similar velocity is another vehicle in a queue, else probably the same one;
     - logarithm of the number of other vehicles that had the track's velocity on its line;
-    - speed up to 15 m/s over 1 s plus the age: chance detections give a young track a high speed;
+    - speed up to 15 m/s over 1 s plus the age, which is large for a fast young track;
     - 1 for a track that stands after a drive (`is_stopped`): misses are no evidence against it.
     """
     speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
