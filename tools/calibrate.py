@@ -294,7 +294,7 @@ def fit_detector(folder: Path) -> None:
     print(shares, places)
     models = {channel: LogisticModel(FEATURES[channel], law[0], law[1:]) for channel, law in laws.items()}
     ratios = {channel: round(share, 2) for channel, share in shares.items()}
-    constants = {"place": places, "detection_ratio": ratios}
+    constants = {**read_calibration("mosaic").constants, "place": places, "detection_ratio": ratios}
     valid = validity({"max_speed_m_s": [22.0]})
     write_calibration("mosaic", Calibration(SOURCE, valid, models, constants))
 

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
+from glintrack.track.calibration import read_calibration
 from glintrack.track.detect.footprint import footprints, peaks, window_means
 from glintrack.track.detect.mosaic_model import ElementPrediction
 from glintrack.track.detect.mosaic_peaks import (
-    LANE_M,
     MIN_RATIO,
-    SAME_M,
     SEARCHES,
     select_peaks,
 )
@@ -21,6 +20,7 @@ from glintrack.track.detect.mosaic_windows import (
 )
 
 CELL_M = 0.75
+SAME_M, LANE_M = (read_calibration("mosaic").constants["one_vehicle"][name] for name in ("reach_m", "lane_m"))
 SHAPE, MIDDLE = (41, 41), (20, 20)
 ROW, COLUMN = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float32)
 EXPECTED_E, NOISE_E = 1000.0, 50.0

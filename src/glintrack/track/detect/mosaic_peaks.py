@@ -38,9 +38,6 @@ _MOTION = "support_root", "strength", "still", "still_root", "restless", "restle
 FEATURES = {"pan": _MOTION, "dolp": _MOTION, "all": _MOTION + WINDOW_FEATURES}
 MAX_RATIO = 8.0  # beyond it the calibration flights have no clutter
 MIN_RATIO = 1.1  # of a detection: with less false tracks come, with more tracks are lost
-SAME_M = 5.5  # reach of a vehicle's other peaks
-LANE_M, IN_LINE_M = 2.9, 2.0  # in dense traffic: their reach in any direction, and across the motion
-NEIGHBOURS_M, NEAR_M, MIN_NEIGHBOURS = 40.0, 6.0, 5  # likely peaks between two distances in dense traffic
 _ROUNDING = 1 - 1e-9  # rounding of a sum must not exclude the best motion
 
 
@@ -250,17 +247,18 @@ def select_peaks(
     likely = likely[np.argsort(-ratio[likely], kind="stable")]
     if channel != "all":
         return likely
+    known = read_calibration("mosaic").constants["one_vehicle"]
     at, selected = position_m[likely], np.ones(len(likely), bool)
     ahead = velocity_m_s[likely] / np.hypot(*velocity_m_s[likely].T)[:, None]
     tree = KDTree(at)
-    within, near = (tree.query_ball_point(at, d, return_length=True) for d in (NEIGHBOURS_M, NEAR_M))
-    dense = within - near >= MIN_NEIGHBOURS
-    for k, around in enumerate(tree.query_ball_point(at, SAME_M)):
+    within, near = (tree.query_ball_point(at, d, return_length=True) for d in known["neighbours_m"])
+    dense = within - near >= known["neighbours"]
+    for k, around in enumerate(tree.query_ball_point(at, known["reach_m"])):
         if selected[k]:
             other = np.array(around)
             gap = at[other] - at[k]
-            in_line = np.abs(gap @ (ahead[k, ::-1] * (1, -1))) < IN_LINE_M
-            own_lane = dense[k] & dense[other] & ~in_line & (np.hypot(*gap.T) > LANE_M)
+            in_line = np.abs(gap @ (ahead[k, ::-1] * (1, -1))) < known["across_m"]
+            own_lane = dense[k] & dense[other] & ~in_line & (np.hypot(*gap.T) > known["lane_m"])
             selected[other[(other > k) & ~own_lane]] = False
     return likely[selected]
 
