@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import expit, logit
 
 from glintrack import track
 from glintrack.track import existence
+from glintrack.track.design import TrackDesign
 from glintrack.track.existence import NEIGHBOUR_M, REASSIGNED_M
 from glintrack.track.flow import no_flow
 from glintrack.track.identity import BINS
-from glintrack.track.initiation import initiate, select
+from glintrack.track.initiation import initiate, select, speed_sigma
 from tests.plain import plain_tracker
 
 CHANNELS = ("pan", "dolp", "all")
@@ -203,7 +205,7 @@ def test_at_first_sight_only_what_stands_apart_is_confirmed():
         log_likelihood_ratio=np.array([7.0, 7.0, 3.0]),
     )  # fmt: skip
     features = np.full((3, BINS), np.nan)
-    new = initiate(design, found, features, np.arange(3), 7, no_flow(), apart_from=known)
+    new = initiate(design, found, features, np.arange(3), 7, no_flow(), others=known)
     np.testing.assert_array_equal(new.confirmed, [False, True, False])
 
 
@@ -394,3 +396,34 @@ def test_only_what_was_out_of_sight_gets_a_new_number():
     assert existence.reassign_ids(before, after, INTERVAL_S, 7).tolist() == [7, 1, 2]
     tentative = replace(after, confirmed=np.array([False, True, True]))
     assert existence.reassign_ids(before, tentative, INTERVAL_S, 7).tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
+def test_log_odds_adapt_to_the_share_of_vehicles(share):
+    """Features of equal covariance have linear log odds: for another share only the intercept changes."""
+    rng, usual, count = np.random.default_rng(5), 0.6, 20000
+    vehicle = rng.random(count) < share
+    feature = rng.normal(np.where(vehicle, 1.0, -1.0), 1.0)
+    fitted = 2 * feature + logit(usual)
+    adapted = existence.adapt_log_odds(fitted, usual)
+    assert adapted - fitted == pytest.approx(logit(share) - logit(usual), abs=0.1)
+    assert expit(adapted).mean() == pytest.approx(share, abs=0.01)
+
+
+def test_few_targets_hardly_change_their_log_odds():
+    odds = np.full(3, 4.0)
+    shift = existence.adapt_log_odds(odds, 0.7) - odds
+    assert np.all((shift > 0) & (shift < 0.2))
+    assert len(existence.adapt_log_odds(np.empty(0), 0.7)) == 0
+
+
+def test_the_speed_of_slow_traffic_limits_that_of_a_new_track():
+    design = TrackDesign()
+    limit = design.initiation.speed_sigma_m_s
+    slow = replace(followed(12.0 * np.arange(200)), age_s=np.full(200, 3.0))
+    slow.mean[:, 2:] = [4.0, 0.0]
+    assert speed_sigma(design, None) == limit
+    assert speed_sigma(design, replace(slow, age_s=np.full(200, 1.0))) == limit  # too young to tell
+    assert speed_sigma(design, slow) == pytest.approx(4 / np.sqrt(2), rel=0.2)
+    slow.mean[:, 2:] = [30.0, 0.0]
+    assert speed_sigma(design, slow) == limit

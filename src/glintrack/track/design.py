@@ -134,7 +134,8 @@ class InitiationDesign(Design):
     """Log-likelihood ratio of a single detection that confirms a track at once (default: see `rules`). [nat]
     """
     speed_sigma_m_s: float = Field(default=8.0, gt=0, le=100)
-    """Standard deviation of each speed component of a new track, if its detection has no velocity. [m s⁻¹]"""
+    """Largest standard deviation of each speed component of a new track, if its detection has no velocity.
+    With `existence` it falls to that of the known vehicles where they are slower. [m s⁻¹]"""
     flow_velocity: bool = True
     """Start a new track with the velocity of the fast traffic around it, learnt from earlier detections."""
     coast_s: float = Field(default=2.0, ge=0, le=3600)

@@ -22,6 +22,7 @@ RECENT_RATIO_S = 1.2  # time constant of a track's mean likelihood ratio
 MISSED_NAT = -3.0  # likelihood ratio of a frame without a detection
 DUPLICATE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
 _ROUNDING = 1e-9
+SURE_AGE_S, PRIOR_TRACKS = 2.0, 10  # age of the tracks that tell the speed of traffic; see `speed_sigma`
 APART_M = 4.0  # a first detection farther from every confirmed track is of another vehicle
 
 
@@ -231,15 +232,15 @@ def select_unassigned(
     return np.flatnonzero(free)
 
 
-def initiate(design, found, spectral, index, next_id, flow: Flow, roads=None, apart_from=None) -> Targets:
+def initiate(design, found, spectral, index, next_id, flow: Flow, roads=None, others=None) -> Targets:
     """Start a target for each of the detections at an index; confirm it only if apart from other targets.
 
     Its velocity is the detector's if that is always right, else that of the flow of traffic where it can be
-    trusted, else unknown.
+    trusted, else unknown, with a standard deviation as the speeds of the other targets.
     """
     n, place, ratio = len(index), found.position[index], found.log_likelihood_ratio
     velocity = None if found.velocity is None or found.velocity_share < 1 else found.velocity[index]
-    sigma_m_s = design.initiation.speed_sigma_m_s if velocity is None else found.velocity_sigma_m_s
+    sigma_m_s = speed_sigma(design, others) if velocity is None else found.velocity_sigma_m_s
     speed = np.repeat(sigma_m_s**2 * np.eye(2)[None], n, axis=0)
     if roads is not None and velocity is None:
         speed = roads.speed_covariance(place, sigma_m_s)
@@ -263,9 +264,23 @@ def initiate(design, found, spectral, index, next_id, flow: Flow, roads=None, ap
     if ratio is None:
         return new
     sure = ratio >= design.initiation.in_use.confirm_ratio
-    if apart_from is not None and apart_from.confirmed.any():
-        sure &= KDTree(apart_from.position[apart_from.confirmed]).query(place)[0] >= APART_M
+    if others is not None and others.confirmed.any():
+        sure &= KDTree(others.position[others.confirmed]).query(place)[0] >= APART_M
     return replace(new, confirmed=sure)
+
+
+def speed_sigma(design: TrackDesign, others: Targets | None) -> float:
+    """Compute the standard deviation of each velocity component of a vehicle that is not yet known. [m s⁻¹]
+
+    In slow traffic a new track must not reach for the next vehicle: the mean square of the confirmed tracks'
+    velocity components, in which `PRIOR_TRACKS` move as the design has it, which is also the limit.
+    """
+    limit = design.initiation.speed_sigma_m_s
+    if others is None:
+        return limit
+    known = others.mean[others.confirmed & (others.age_s >= SURE_AGE_S), 2:]
+    square = (known**2).sum() / 2 + PRIOR_TRACKS * limit**2
+    return min(limit, math.sqrt(square / (len(known) + PRIOR_TRACKS)))
 
 
 def select(targets: Targets, index: np.ndarray) -> Targets:

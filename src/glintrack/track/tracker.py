@@ -202,11 +202,11 @@ def _step(
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
     targets = prune(design, targets, grid)
     index = select_unassigned(design, targets, found.position, assigned)
-    features, apart_from = spectral.copy(), targets if uses_existence else None
+    features, others = spectral.copy(), targets if uses_existence else None
     if design.identity.outlier_share:  # spectra that more probably show the ground than any vehicle
         features[evidence.index[evidence.ground > 0]] = np.nan
     flow = update_flow(state.flow, found.position, seen.time_s)
-    new = initiate(design, found, features, index, state.next_id, flow, state.roads, apart_from)
+    new = initiate(design, found, features, index, state.next_id, flow, state.roads, others)
     if leaves is not None:
         leaves = hypotheses.prune(leaves, targets, new, index, state.frame)
     targets, duplicates = concatenate(targets, new), state.duplicates
