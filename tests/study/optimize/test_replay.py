@@ -4,7 +4,7 @@ The grid is the response surface that the packaged study `between` fitted to 48 
 along each axis, added). The noise is that which `between` and `standard` found between cities, and between
 simulations.
 
-    python -m tests.study.optimize.test_replay 100
+    python -m tests.study.optimize.test_replay 100 100    # number of searches, first seed
 """
 
 import sys
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import qmc
+from scipy.stats import norm, qmc
 
 from glintrack.study.optimize import find_cheapest
 from tests.study.optimize.cameras import Grid
@@ -59,6 +59,28 @@ def replay(name, count, first=0):
     return pd.DataFrame(rows, columns=["answer", "true", "ratio", "simulations"])
 
 
+def oracle_ratio(name, simulations, share=0.9, draws=4000):
+    """Cost ratio of the cheapest feasible design that one who knows all scores confirms in a share of tries.
+
+    All simulations are of this design, each in another city, and the noise is known.
+    """
+    stored = stored_grid(name, 0)
+    probable = np.ones((draws, len(stored.cost)))
+    deviates = np.random.default_rng(1).standard_normal((draws, len(stored.requirements)))
+    for k, one in enumerate(stored.requirements):
+        mean, limit = stored.means[:, k], one.limit
+        over = mean - limit if one.at_least else np.log(limit / mean)
+        sd = np.hypot(stored.city_sd[k], stored.noise_sd[k]) / np.sqrt(simulations)
+        probable *= norm.cdf(over / sd + deviates[:, k : k + 1])
+    confirmed = (probable >= stored.problem().probability).mean(axis=0) >= share
+    return stored.cost[confirmed & stored.feasible].min() / stored.cost[stored.feasible].min()
+
+
+def test_more_simulations_confirm_cheaper_designs():
+    ratios = [oracle_ratio("sensitive", count) for count in (6, 24, 60, 10**6)]
+    assert ratios == sorted(ratios, reverse=True) and ratios[-1] == 1.0
+
+
 @pytest.mark.parametrize("name", SPECS)
 def test_claims_of_replayed_searches_are_cheap_and_few_are_false(name):
     rows = replay(name, 4)
@@ -69,7 +91,7 @@ def test_claims_of_replayed_searches_are_cheap_and_few_are_false(name):
 
 if __name__ == "__main__":
     for spec in SPECS:
-        found = replay(spec, int(sys.argv[1]))
+        found = replay(spec, *map(int, sys.argv[1:]))
         claims = found[found["answer"] == "yes"]
         feasible = stored_grid(spec, 0).feasible.mean()
         print(
@@ -78,3 +100,7 @@ if __name__ == "__main__":
             f"{claims['ratio'].median():.3f} times the cheapest, median "
             f"{found['simulations'].median():.0f} simulations, at most {found['simulations'].max()}"
         )
+        for count in (6, 24, 60):
+            print(
+                f"  one who knows the grid confirms {oracle_ratio(spec, count):.3f} with {count} simulations"
+            )

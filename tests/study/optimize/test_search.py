@@ -41,6 +41,23 @@ def test_the_posterior_is_that_of_the_textbook():
     assert 0.02 < fitted.noise_sd < 0.15 and 0.1 < fitted.city_sd < 1.5  # of 0.05, and of 0.34
 
 
+def test_noise_of_short_simulations_has_the_larger_variance():
+    rng = np.random.default_rng(2)
+    places, cities, halvings = rng.random((80, 1)), np.arange(80) % 8, np.repeat([0.0, 2.0], 40)
+    scores = places[:, 0] + rng.normal(0, 0.1, 80) * 2 ** (halvings / 2)
+    fitted = fit_gaussian_process(places, cities, halvings, scores)
+    assert 0.07 < fitted.noise_sd < 0.13
+    assert fitted.inverse[0, 0] > 2 * fitted.inverse[-1, -1]
+
+
+def test_a_predicted_rate_is_the_mean_not_the_median():
+    stored = grid(4)
+    found = find_cheapest(stored.problem(simulations=200, cities=20), stored.simulate)
+    mean, sd = found.processes[1].predict(stored.places)
+    errors = (mean - np.log1p(stored.means[:, 1]))[sd < np.median(sd)]
+    assert abs(errors.mean()) < 0.1
+
+
 def test_the_cheapest_design_is_found_and_confirmed_over_unseen_cities():
     stored = grid(3)
     found = find_cheapest(stored.problem(), stored.simulate)

@@ -1,12 +1,8 @@
 """Search for the cheapest of many candidates that meets requirements, and confirm it over unseen cities.
 
-Each requirement has a Gaussian process of its score. The next design is the candidate with the largest
-expected saving: the probability that it meets all requirements times its saving against the cheapest one
-that is known to meet them (constrained expected improvement with a known objective).
-
-References
-----------
-Gardner et al., "Bayesian Optimization with Inequality Constraints", Proc. ICML (2014), Eq. (3).
+Each requirement has a Gaussian process of its score. A batch has the cheapest candidates that meet all
+requirements with rising probabilities: designs along the Pareto front of cost and probability, where the
+decision falls. A confirmation tries a cheap design as long as two more remain for safer designs.
 """
 
 import math
@@ -21,11 +17,10 @@ from glintrack.core.arrays import Array
 from glintrack.metrics.requirement import SHARES, Requirement
 from glintrack.study.optimize.surrogate import GaussianProcess, fit_gaussian_process
 
-BATCH = 4  # designs that are simulated together, in the same city
-ATTEMPTS = 2  # confirmations for which simulations are reserved
-TRIAL = 0.75  # share of the allowed risk from which on a design is worth a confirmation
-MIN_SAVING = 0.003  # expected saving below which the search ends, as a share of the cost
-_NEAR = 0.15  # distance of designs that tell much the same, in ranges of an axis
+LADDER = (0.2, 0.4, 0.6, 0.8)  # probabilities of the designs of a batch, which share their city
+ATTEMPTS = 4  # confirmations for which up to half of the simulations are reserved
+BOLD = 0.6  # probability from which a design is tried while two more confirmations remain
+MIN_SAVING = 0.003  # possible saving below which the search ends, as a share of the cost
 
 
 @dataclass(frozen=True)
@@ -48,8 +43,8 @@ class Problem:
         Number of simulations of a design in one city: one for each condition.
     cities, confirming_cities
         Number of cities of the search, and of those for each confirmation.
-    fidelities
-        Number of durations.
+    durations_s
+        Durations of a simulation, rising. [s]
 
     Raises
     ------
@@ -65,7 +60,7 @@ class Problem:
     runs: int = 1
     cities: int = 8
     confirming_cities: int = 6
-    fidelities: int = 2
+    durations_s: tuple[float, ...] = (12.0, 24.0)
 
     def __post_init__(self):
         axes = self.places.shape[1]
@@ -83,8 +78,8 @@ class Problem:
 
     @property
     def trial_probability(self) -> float:
-        """Probability from which a design is worth a confirmation."""
-        return 1 - TRIAL * (1 - self.probability)
+        """Probability from which a design is worth one of the last two confirmations."""
+        return (1 + self.probability) / 2
 
 
 # scores of designs in cities at a fidelity, 0 for the full duration: design, city, requirement
@@ -162,8 +157,9 @@ def find_cheapest(problem: Problem, simulate: Simulate) -> Outcome:
         If a requirement's score is in no simulation.
     """
     state = _State(problem, simulate)
-    state.run(range(problem.first_designs), state.next_city(), problem.fidelities - 1)
-    while state.room() >= state.cost_of(BATCH, 1) + ATTEMPTS * state.confirmation:
+    state.run(range(problem.first_designs), state.next_city(), len(problem.durations_s) - 1)
+    reserve = max(state.confirmation, min(ATTEMPTS * state.confirmation, state.room() // 2))
+    while state.room() >= state.cost_of(len(LADDER), 1) + reserve:
         city = state.next_city()
         batch = next_designs(problem, state.outcome(), city)
         if not batch:
@@ -173,25 +169,42 @@ def find_cheapest(problem: Problem, simulate: Simulate) -> Outcome:
 
 
 def _confirm(problem: Problem, state: "_State") -> Outcome:
-    """Simulate the cheapest promising design over unseen cities, then the next or a cheaper one."""
+    """Simulate promising designs over unseen cities, each over others, as long as one may be cheaper."""
     now, first = state.outcome(), problem.cities
     confirmed: dict[int, tuple[int, ...]] = {}
+    passed: list[int] = []
     while now.answer == "undecided" and state.room() >= state.confirmation:
-        if now.design in confirmed or now.feasibility[now.design] < problem.probability:
+        is_late = not passed and state.room() < 3 * state.confirmation
+        best = min(problem.cost[passed], default=math.inf)
+        design = _next_confirmation(problem, now, list(confirmed), best, is_late)
+        if design is None:
             break
         cities = tuple(range(first, first + problem.confirming_cities))
-        confirmed[now.design], first = cities, first + problem.confirming_cities
-        state.run([now.design], cities, 0)
+        confirmed[design], first = cities, first + problem.confirming_cities
+        state.run([design], cities, 0)
         now = state.outcome()
-    passed = [design for design in confirmed if now.feasibility[design] >= problem.probability]
+        passed = [design for design in confirmed if now.feasibility[design] >= problem.probability]
     if not passed:
         return replace(now, confirming=confirmed.get(now.design, ()))
     cheapest = min(passed, key=lambda design: problem.cost[design])
     return replace(now, answer="yes", design=cheapest, confirming=confirmed[cheapest])
 
 
+def _next_confirmation(
+    problem: Problem, now: Outcome, tried: list[int], best: float, is_late: bool
+) -> int | None:
+    """Cheapest design below a cost with a fair chance, a good one at the last tries; None if none is left."""
+    probable = now.feasibility.copy()
+    probable[tried] = -1.0
+    probable[problem.cost >= best] = -1.0
+    for limit in (problem.trial_probability,) if is_late else (BOLD, problem.trial_probability):
+        if (probable >= limit).any():
+            return int(np.where(probable >= limit, problem.cost, math.inf).argmin())
+    return None if math.isfinite(best) or probable.max() < 0 else int(probable.argmax())
+
+
 def next_designs(problem: Problem, now: Outcome, cities: Sequence[int]) -> list[int]:
-    """Choose the most promising design, and those with the largest expected saving; empty if none is left.
+    """Choose the cheapest design of each probability in `LADDER`; empty if none can be much cheaper.
 
     Parameters
     ----------
@@ -200,20 +213,19 @@ def next_designs(problem: Problem, now: Outcome, cities: Sequence[int]) -> list[
     cities
         Cities of the batch; a design is not simulated there twice.
     """
-    done = set(now.observations.design[np.isin(now.observations.city, cities)].tolist())
-    known = now.feasibility[now.design] >= problem.trial_probability
-    span = max(float(np.ptp(problem.cost)), 1e-12)
-    best = problem.cost[now.design] if known else problem.cost.max() + 0.1 * span
-    gain = np.maximum(best - problem.cost, 0.0) * now.feasibility
-    gain[list(done)] = 0.0
-    if known and gain.max() < MIN_SAVING * max(abs(best), span):
-        return []
-    chosen = [] if now.design in done else [now.design]
-    while len(chosen) < BATCH and gain.max() > 0:
-        chosen.append(int(gain.argmax()))
-        distance_2 = ((problem.places - problem.places[chosen[-1]]) ** 2).sum(axis=1)
-        gain = gain * -np.expm1(-distance_2 / _NEAR**2)  # so that a batch is spread
-    return list(dict.fromkeys(chosen))
+    probable, cost = now.feasibility.copy(), problem.cost
+    if now.feasibility[now.design] >= problem.trial_probability:
+        saving = cost[now.design] - cost[probable >= LADDER[0]].min()
+        if saving < MIN_SAVING * max(abs(cost[now.design]), float(np.ptp(cost))):
+            return []
+    probable[now.observations.design[np.isin(now.observations.city, cities)]] = -1.0
+    chosen: list[int] = []
+    for limit in LADDER:
+        enough = probable >= min(limit, probable.max())
+        if probable.max() >= 0:
+            chosen.append(int(np.where(enough, cost, math.inf).argmin()))
+            probable[chosen[-1]] = -1.0
+    return chosen
 
 
 def feasibility(
@@ -236,6 +248,11 @@ def transform(requirement: Requirement, score: Array | float) -> Array:
 def inverse_transform(requirement: Requirement, value: Array | float) -> Array:
     """Score of a value of `transform`."""
     return np.asarray(value, float) if requirement.score in SHARES else np.expm1(value)
+
+
+def _mean_of_logarithms(process: GaussianProcess) -> GaussianProcess:
+    """Predict the logarithm of the mean, not the mean of logarithms: half their variance above it."""
+    return replace(process, mean=process.mean + 0.5 * (process.city_sd**2 + process.noise_sd**2))
 
 
 @dataclass
@@ -272,6 +289,7 @@ class _State:
     def outcome(self) -> Outcome:
         """Fit all scores, and name the cheapest promising design."""
         problem, seen = self.problem, self.observations
+        durations = np.array(problem.durations_s)[-1 - seen.fidelity]
         processes = []
         for k, requirement in enumerate(problem.requirements):
             scores = transform(requirement, seen.scores[:, k])
@@ -282,7 +300,9 @@ class _State:
                     f"{there.sum()} of {len(there)} simulations that have it."
                 )
             at = problem.places[seen.design[there]]
-            processes.append(fit_gaussian_process(at, seen.city[there], seen.fidelity[there], scores[there]))
+            halvings = np.log2(problem.durations_s[-1] / durations[there])
+            process = fit_gaussian_process(at, seen.city[there], halvings, scores[there])
+            processes.append(process if requirement.score in SHARES else _mean_of_logarithms(process))
         probable = feasibility(problem.requirements, processes, problem.places).prod(axis=1)
         promising = probable >= problem.trial_probability
         if promising.any():

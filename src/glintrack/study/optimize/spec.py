@@ -229,7 +229,7 @@ def read_optimization(path: str | Path, allow_outside_paths: bool = False) -> Op
             runs=len(conditions),
             cities=design.cities,
             confirming_cities=design.confirming_cities,
-            fidelities=len(design.durations_s),
+            durations_s=design.durations_s,
         ),
         conditions=labels,
         key=content_hash(json.dumps([content, plan.key], sort_keys=True), 20),

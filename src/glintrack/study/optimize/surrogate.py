@@ -4,9 +4,10 @@ The score of design x in city c with duration t is
 
 y = μ + g(x, t) + u(c) + e,
 
-with a Matérn 5/2 covariance of g, one variance for the effects u of cities and one for the noise e. Its
-hyperparameters maximize the marginal likelihood (scikit-learn). `predict` gives the posterior of μ + g at
-the full duration: the mean over all cities.
+with a Matérn 5/2 covariance of g, one variance for the effects u of cities, and noise e with a variance
+inversely proportional to the duration, as that of a mean over time. Its hyperparameters maximize the
+marginal likelihood (scikit-learn). `predict` gives the posterior of μ + g at the full duration: the mean
+over all cities.
 
 References
 ----------
@@ -28,7 +29,8 @@ from glintrack.core.arrays import Array
 from glintrack.core.installation import require_extra
 
 _ANY = 1e6  # length scale of a coordinate without effect
-_LENGTHS, _DURATION_LENGTHS = (0.15, 20.0), (1.0, 50.0)  # in ranges of an axis, and in steps of the duration
+_LENGTHS = (0.15, 20.0)  # in ranges of an axis
+_DURATION_LENGTHS = (1.0, 50.0)  # in halvings of the duration
 _SIGNAL, _CITY, _NOISE = (0.03, 30.0), (0.02, 5.0), (0.002, 5.0)  # over the variance of the scores
 
 
@@ -39,17 +41,17 @@ class GaussianProcess:
     Parameters
     ----------
     inputs
-        Places of the designs, and as last column the fidelity: 0 for the full duration.
+        Places of the designs, and as last column the halvings of the duration: 0 for the full one.
     lengths
         Length scale of each column.
     signal_variance
         Variance of g.
     mean
-        μ, the mean of the scores.
+        μ, the mean of the scores; of logarithms with half their variance, for the logarithm of the mean.
     weights, inverse
         K⁻¹(y − μ), and K⁻¹, with the covariance K of the scores.
     city_sd, noise_sd
-        Standard deviation of the effects of cities, and of the noise.
+        Standard deviation of the effects of cities, and of the noise at the full duration.
     """
 
     inputs: Float[Array, "n column"]
@@ -82,7 +84,7 @@ def matern(distance: Float[Array, "*any"]) -> Float[Array, "*any"]:
 def fit_gaussian_process(
     places: Float[Array, "n axis"],
     cities: Int[Array, "n"],
-    fidelity: Int[Array, "n"],
+    halvings: Float[Array, "n"],
     scores: Float[Array, "n"],
 ) -> GaussianProcess:
     """Fit mean, hyperparameters and weights.
@@ -93,8 +95,8 @@ def fit_gaussian_process(
         Encoded designs, about 0 to 1 along each axis.
     cities
         Number of each score's city.
-    fidelity
-        Steps below the full duration, 0 for the full one.
+    halvings
+        log₂ of the full duration over that of the simulation: 0 for the full one.
     scores
         Finite scores.
 
@@ -116,9 +118,9 @@ def fit_gaussian_process(
     kernel = (
         kernels.ConstantKernel(1.0, _SIGNAL) * of_design
         + kernels.ConstantKernel(0.2, _CITY) * of_city
-        + kernels.WhiteKernel(0.2, _NOISE)
+        + _duration_noise(kernels)(0.2, _NOISE)
     )
-    columns = np.column_stack([places, fidelity, cities]).astype(float)
+    columns = np.column_stack([places, halvings, cities]).astype(float)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of hyperparameters at their bounds
         fitted = process.GaussianProcessRegressor(kernel).fit(columns, (scores - mean) / scale)
@@ -134,3 +136,24 @@ def fit_gaussian_process(
         city_sd=scale * math.sqrt(found["k1__k2__k1__constant_value"]),
         noise_sd=scale * math.sqrt(found["k2__noise_level"]),
     )
+
+
+def _duration_noise(kernels: Any) -> Any:
+    """Class of scikit-learn's white noise with twice the variance for each halving of the duration."""
+
+    class DurationNoise(kernels.WhiteKernel):
+        """White noise times two to the power of the last column but one."""
+
+        def __call__(self, X, Y=None, eval_gradient=False):
+            """Covariance of the noise, and its gradient."""
+            factor = 2.0 ** X[:, -2:-1]
+            if eval_gradient:
+                found, gradient = super().__call__(X, Y, True)
+                return factor * found, factor[..., None] * gradient
+            return factor * super().__call__(X, Y)
+
+        def diag(self, X):
+            """Variance of the noise of each row."""
+            return 2.0 ** X[:, -2] * super().diag(X)
+
+    return DurationNoise
