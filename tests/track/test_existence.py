@@ -398,8 +398,8 @@ def test_only_what_was_out_of_sight_gets_a_new_number():
     assert existence.reassign_ids(before, tentative, INTERVAL_S, 7).tolist() == [0, 1, 2]
 
 
-@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
-def test_log_odds_adapt_to_the_share_of_vehicles(share):
+@pytest.mark.parametrize("share", [0.6, 0.75, 0.9])
+def test_log_odds_adapt_to_a_greater_share_of_vehicles(share):
     """Features of equal covariance have linear log odds: for another share only the intercept changes."""
     rng, usual, count = np.random.default_rng(5), 0.6, 20000
     vehicle = rng.random(count) < share
@@ -408,6 +408,11 @@ def test_log_odds_adapt_to_the_share_of_vehicles(share):
     adapted = existence.adapt_log_odds(fitted, usual)
     assert adapted - fitted == pytest.approx(logit(share) - logit(usual), abs=0.1)
     assert expit(adapted).mean() == pytest.approx(share, abs=0.01)
+
+
+def test_log_odds_keep_the_usual_share_where_fewer_are_vehicles():
+    odds = np.linspace(-4.0, 1.0, 200)
+    np.testing.assert_array_equal(existence.adapt_log_odds(odds, 0.6), odds)
 
 
 def test_few_targets_hardly_change_their_log_odds():

@@ -30,7 +30,7 @@ MIN_SPEED_M_S, MAX_AGE_S = 6.0, 5.0  # slower motion lowers the odds; limit of t
 MAX_SPEED_M_S = 15.0  # limit of the speed of young tracks
 NEIGHBOUR_M, SAME_SPEED_M_S = 12.0, 4.0
 QUEUE_M, QUEUE = 40.0, 4  # distance and number of the tracks of a queue
-PRIOR_TARGETS = 60.0  # a frame with fewer targets changes their log odds little
+PRIOR_TARGETS = 20.0  # a frame with fewer targets changes their log odds little
 MAX_SHIFT, _ITERATIONS = 2.0, 30  # limit of the change of log odds [nat], and iterations
 _MAX_NEIGHBOURS = 24
 
@@ -76,23 +76,24 @@ def group_log_odds(
 
 
 def adapt_log_odds(log_odds: Float[Array, "target"], share: float) -> Float[Array, "target"]:
-    """Log odds of existence for the share of vehicles among these targets.
+    """Raise log odds of existence where more of the targets are vehicles than usual.
 
     The model has one intercept for all traffic. Where nearly all targets are vehicles, as on a dense road, it
-    doubts too many. The share is estimated by expectation maximization: Saerens, Latinne and Decaestecker,
-    Neural Computation 14, 21 (2002). `PRIOR_TARGETS` more targets have the usual share.
+    doubts too many. Their share is estimated by expectation maximization: Saerens, Latinne and Decaestecker,
+    Neural Computation 14, 21 (2002). `PRIOR_TARGETS` more targets have the usual share. Where the estimate is
+    below it the log odds are kept: that of slow traffic is too low.
 
     Parameters
     ----------
     log_odds
         Log odds by the model. [nat]
     share
-        Share of vehicles that leaves the log odds as they are. [1]
+        Usual share of vehicles. [1]
     """
     shift, total = 0.0, len(log_odds) + PRIOR_TARGETS
     for _ in range(_ITERATIONS):
         here = (expit(log_odds + shift).sum() + PRIOR_TARGETS * share) / total
-        shift = float(np.clip(logit(here) - logit(share), -MAX_SHIFT, MAX_SHIFT))
+        shift = float(np.clip(logit(here) - logit(share), 0.0, MAX_SHIFT))
     return log_odds + shift
 
 
