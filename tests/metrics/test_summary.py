@@ -72,6 +72,32 @@ def test_same_track_after_ten_seconds():
     assert math.isnan(metrics.same_track_after(flight([7] * 5)))
 
 
+@pytest.mark.parametrize(
+    ("ids", "share"),
+    [
+        ([7, 7] + [7] * 10 + [7, 7], 1.0),
+        ([7, 7] + [0] * 10 + [7, 7], 1.0),  # no track while it stands
+        ([7, 7] + [7] * 10 + [0, 7], 1.0),  # found again a little later
+        ([7, 7] + [7] * 10 + [8, 7], 0.0),
+        ([7, 7] + [7] * 10 + [0, 0], 0.0),
+        ([7, 0] + [7] * 10 + [7, 7], math.nan),  # no track when it stopped
+    ],
+)
+def test_same_track_after_a_stop(ids, share):
+    """Two seconds of drive, ten of standing, two of drive."""
+    speeds = [FAST] * 2 + [STOPPED] * 10 + [FAST] * 2
+    assert metrics.same_track_after_stop(flight(ids, speeds)) == pytest.approx(share, nan_ok=True)
+    short = metrics.same_track_after_stop(flight(ids, speeds), stop_s=12.0)
+    assert math.isnan(short)
+
+
+def test_a_hidden_vehicle_does_not_stop():
+    ids, speeds = [7] * 14, [FAST] * 14
+    assert math.isnan(
+        metrics.same_track_after_stop(flight(ids, speeds, visible=[1] * 2 + [0] * 10 + [1] * 2))
+    )
+
+
 def test_idf1_of_the_moving():
     """Vehicle moves 4 epochs: 3 under track 7, 1 under 8; IDTP 3, seen 4, reported 4: 3/4. Parked: out."""
     parked = truth((1, 0, 0, FAST), (2, 50, 0, STOPPED))

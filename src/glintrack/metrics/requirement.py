@@ -25,7 +25,7 @@ MIN_FRAMES = 2 * PARTS
 CONFIDENCE = 0.95
 MAX_FLIGHTS = 1000
 SHARES = ("completeness", "completeness_with_stopped", "completeness_visible", "custody", "purity",
-          "idf1_moving", "same_track_after_10s")  # fmt: skip
+          "idf1_moving", "same_track_after_10s", "same_track_after_stop")  # fmt: skip
 _TEXT = re.compile(r"\s*(?:(?P<channel>\w+)\.)?(?P<score>\w+)\s*(?P<sign><=|>=|<|>)\s*(?P<limit>\S+)\s*")
 
 

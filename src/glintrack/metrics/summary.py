@@ -18,7 +18,7 @@ from glintrack.metrics.tracks import EpochScore, Over
 
 HEADLINE = ("tracked_per_km2", "completeness", "completeness_visible", "custody", "false_per_km2")
 
-DELAY_S = 10.0
+DELAY_S, STOP_S = 10.0, 10.0
 _SAME_TIME_S = 5e-3  # times in files are rounded
 
 
@@ -31,7 +31,8 @@ def summarize(epochs: Sequence[EpochScore]) -> dict[str, float]:
     of all movers, ``completeness_visible``, ``custody`` [1] and ``false_per_km2`` [km⁻²]. Others:
     ``completeness_with_stopped``, ``purity`` [1], ``false_per_frame``, ``tracks_per_frame``,
     ``vehicles_per_frame`` (that should be tracked), ``identity_switches``, ``median_time_to_loss_s`` [s],
-    ``same_track_after_10s``, ``idf1_moving``, ``position_rms_m`` of valid tracks [m], ``frames``.
+    ``same_track_after_10s``, ``same_track_after_stop``, ``idf1_moving``, ``position_rms_m`` of valid tracks
+    [m], ``frames``.
     """
     errors = np.concatenate([e.distance_m[e.valid] for e in epochs]) if epochs else np.empty(0)
     return {
@@ -43,6 +44,7 @@ def summarize(epochs: Sequence[EpochScore]) -> dict[str, float]:
         "custody": custody(epochs),
         "median_time_to_loss_s": median_time_to_loss(epochs),
         "same_track_after_10s": same_track_after(epochs),
+        "same_track_after_stop": same_track_after_stop(epochs),
         "idf1_moving": idf1_moving(epochs),
         "false_per_frame": _mean([e.false.sum() for e in epochs]),
         "false_per_km2": _mean([e.false.sum() / e.area_km2 for e in epochs]),
@@ -196,6 +198,38 @@ def same_track_after(epochs: Sequence[EpochScore], delay_s: float = DELAY_S) -> 
                 pairs += 1
                 same += then[vehicle] == track
     return same / pairs if pairs else float("nan")
+
+
+def same_track_after_stop(epochs: Sequence[EpochScore], stop_s: float = STOP_S) -> float:
+    """Share of vehicles that keep their track through a stop; NaN without stops. [1]
+
+    Counted are vehicles with a track when they were last visible in motion, which are visible in motion again
+    at least `stop_s` later and stood inside the area in between. They keep their track if the next one that
+    they have while they are visible is the same.
+
+    Parameters
+    ----------
+    epochs
+        Scores in the order of time.
+    stop_s
+        Minimum duration of a stop. [s]
+    """
+    before: dict[int, tuple[float, int]] = {}  # time and track of each vehicle when last visible in motion
+    stood: dict[int, bool] = {}  # whether it has stood at all epochs since
+    waiting: dict[int, int] = {}  # track before the stop of vehicles that drive on, until they have one
+    same = stops = 0
+    for epoch in epochs:
+        matches = _visible_matches(epoch)
+        for vehicle, track in matches.items():
+            time_s, old = before.get(vehicle, (np.nan, -1))
+            if old >= 0 and stood.pop(vehicle, False) and epoch.time_s - time_s >= stop_s - _SAME_TIME_S:
+                stops, waiting[vehicle] = stops + 1, old
+            if track >= 0 and vehicle in waiting:
+                same += waiting.pop(vehicle) == track
+            before[vehicle] = epoch.time_s, track
+        standing = set(epoch.vehicle_ids[epoch.inside & ~epoch.should].tolist())
+        stood = {v: stood.get(v, True) and v in standing for v in before if v not in matches}
+    return same / stops if stops else float("nan")
 
 
 def _visible_matches(epoch: EpochScore) -> dict[int, int]:
