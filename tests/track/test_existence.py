@@ -398,7 +398,7 @@ def test_only_what_was_out_of_sight_gets_a_new_number():
     assert existence.reassign_ids(before, tentative, INTERVAL_S, 7).tolist() == [0, 1, 2]
 
 
-@pytest.mark.parametrize("share", [0.6, 0.75, 0.9])
+@pytest.mark.parametrize("share", [0.6, 0.65, 0.7])
 def test_log_odds_adapt_to_a_greater_share_of_vehicles(share):
     """Features of equal covariance have linear log odds: for another share only the intercept changes."""
     rng, usual, count = np.random.default_rng(5), 0.6, 20000
@@ -413,6 +413,11 @@ def test_log_odds_adapt_to_a_greater_share_of_vehicles(share):
 def test_log_odds_keep_the_usual_share_where_fewer_are_vehicles():
     odds = np.linspace(-4.0, 1.0, 200)
     np.testing.assert_array_equal(existence.adapt_log_odds(odds, 0.6), odds)
+
+
+def test_log_odds_rise_by_no_more_than_the_limit():
+    odds = np.full(1000, 5.0)
+    assert existence.adapt_log_odds(odds, 0.6) - odds == pytest.approx(existence.MAX_SHIFT)
 
 
 def test_few_targets_hardly_change_their_log_odds():

@@ -31,7 +31,7 @@ MAX_SPEED_M_S = 15.0  # limit of the speed of young tracks
 NEIGHBOUR_M, SAME_SPEED_M_S = 12.0, 4.0
 QUEUE_M, QUEUE = 40.0, 4  # distance and number of the tracks of a queue
 PRIOR_TARGETS = 20.0  # a frame with fewer targets changes their log odds little
-MAX_SHIFT, _ITERATIONS = 2.0, 30  # limit of the change of log odds [nat], and iterations
+MAX_SHIFT, _ITERATIONS = 0.5, 30  # limit of the rise of log odds [nat]; with more false tracks come
 _MAX_NEIGHBOURS = 24
 
 # Duplicates: chosen on quickstart 11 and 12 and braunschweig 11; three in four such pairs are one vehicle.
