@@ -13,6 +13,7 @@ from glintrack.camera import Camera, from_omega_phi_kappa, ground_points, projec
 from glintrack.ortho import rectify_onto
 
 TWENTIETH_PX = 0.05
+CUBIC_PX = 0.07  # OpenCV's cubic kernel bends a slope by 0.048 pixel, and OpenCV 4 rounds places to 1/32
 # An Intergraph DMC's image reduced twelve times (orthority's own example: South Africa's NGI), and an oblique
 # from a drone's flight; size (columns, rows), focal length and pixel [mm], place [m], omega phi kappa [°]
 REAL = {
@@ -108,12 +109,14 @@ def test_rectified_frames_agree_with_orthoritys(case, method):
         found, _ = oracle.remap(bands, x, y, z, nodata=float("nan"), interp=module.Interp(method))
     found = np.moveaxis(found, 0, -1)
     both = np.isfinite(ours).all(-1) & np.isfinite(found).all(-1)
+    # at the frame's edge a cubic kernel lacks pixels, which OpenCV 4 and 5 replace differently
+    both &= ((ours > 2) & (ours < [camera.rows - 3, camera.columns - 3])).all(-1)
     assert both.mean() > 0.3
     difference = np.abs(ours - found)[both]
     if method == "nearest":  # a place between two pixels may round either way
         assert (difference > TWENTIETH_PX).mean() < 0.01 and difference.max() <= 1
     else:
-        assert difference.max() < TWENTIETH_PX
+        assert difference.max() < (CUBIC_PX if method == "cubic" else TWENTIETH_PX)
 
 
 @pytest.mark.parametrize("case", PINNED)
