@@ -4,7 +4,8 @@ The ranges are in ``data/calibration``. A quantity outside them is doubtful.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from glintrack.case.design import Case
 from glintrack.case.quantities import ground_view, off_nadir_deg
@@ -73,7 +74,9 @@ def fitted_quantities(case: Case) -> dict[str, FittedQuantity]:
     names = [detector.replace("-", "_")]
     if design.reporting.uses_existence:
         names += ["existence", "existence_smoothed"]
-    ranges = [read_calibration(name).valid_range(channel) for name in names for channel in case.channels]
+    ranges: list[Mapping[str, Any]] = [
+        read_calibration(name).valid_range(channel) for name in names for channel in case.channels
+    ]
     if design.initiation.flow_velocity:
         ranges.append(read_calibration("flow").valid)
     ranges.append(read_calibration("initiation").valid_range(design.initiation.rules))
