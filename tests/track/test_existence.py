@@ -8,6 +8,7 @@ from scipy.special import expit, logit
 
 from glintrack import track
 from glintrack.track import existence
+from glintrack.track.calibration import read_calibration
 from glintrack.track.design import TrackDesign
 from glintrack.track.existence import NEIGHBOUR_M, REASSIGNED_M
 from glintrack.track.flow import no_flow
@@ -398,33 +399,33 @@ def test_only_what_was_out_of_sight_gets_a_new_number():
     assert existence.reassign_ids(before, tentative, INTERVAL_S, 7).tolist() == [0, 1, 2]
 
 
-@pytest.mark.parametrize("share", [0.6, 0.65, 0.7])
-def test_log_odds_adapt_to_a_greater_share_of_vehicles(share):
+ADAPTED = read_calibration("existence").constants
+
+
+@pytest.mark.parametrize("more", [0.0, 0.05, 0.09])
+def test_log_odds_adapt_to_a_greater_share_of_vehicles(more):
     """Features of equal covariance have linear log odds: for another share only the intercept changes."""
-    rng, usual, count = np.random.default_rng(5), 0.6, 20000
-    vehicle = rng.random(count) < share
+    rng, usual, count = np.random.default_rng(5), ADAPTED["usual_share"]["dolp"], 20000
+    vehicle = rng.random(count) < usual + more
     feature = rng.normal(np.where(vehicle, 1.0, -1.0), 1.0)
     fitted = 2 * feature + logit(usual)
-    adapted = existence.adapt_log_odds(fitted, usual)
-    assert adapted - fitted == pytest.approx(logit(share) - logit(usual), abs=0.1)
-    assert expit(adapted).mean() == pytest.approx(share, abs=0.01)
+    adapted = existence.adapt_log_odds("dolp", fitted)
+    assert adapted - fitted == pytest.approx(logit(usual + more) - logit(usual), abs=0.1)
+    assert expit(adapted).mean() == pytest.approx(usual + more, abs=0.01)
 
 
-def test_log_odds_keep_the_usual_share_where_fewer_are_vehicles():
-    odds = np.linspace(-4.0, 1.0, 200)
-    np.testing.assert_array_equal(existence.adapt_log_odds(odds, 0.6), odds)
-
-
-def test_log_odds_rise_by_no_more_than_the_limit():
-    odds = np.full(1000, 5.0)
-    assert existence.adapt_log_odds(odds, 0.6) - odds == pytest.approx(existence.MAX_SHIFT)
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_log_odds_never_fall_and_rise_by_no_more_than_the_limit(channel):
+    doubted, sure = np.linspace(-4.0, 1.0, 200), np.full(1000, 5.0)
+    np.testing.assert_array_equal(existence.adapt_log_odds(channel, doubted), doubted)
+    assert existence.adapt_log_odds(channel, sure) - sure == pytest.approx(ADAPTED["max_rise"])
 
 
 def test_few_targets_hardly_change_their_log_odds():
     odds = np.full(3, 4.0)
-    shift = existence.adapt_log_odds(odds, 0.7) - odds
-    assert np.all((shift > 0) & (shift < 0.2))
-    assert len(existence.adapt_log_odds(np.empty(0), 0.7)) == 0
+    rise = existence.adapt_log_odds("all", odds) - odds
+    assert np.all((rise > 0) & (rise < 0.2))
+    assert len(existence.adapt_log_odds("all", np.empty(0))) == 0
 
 
 def test_the_speed_of_slow_traffic_limits_that_of_a_new_track():

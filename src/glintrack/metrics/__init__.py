@@ -51,7 +51,6 @@ __all__ = [
     "identity_switches", "idf1_moving", "is_in_area", "is_moving", "is_visible", "match",
     "median_time_to_loss", "mtf", "multi_object_scores", "near_pairs", "ospa", "point_similarity", "psnr",
     "purity", "registration_error", "registration_error_px", "rmse", "running_purity", "same_track_after",
-    "same_track_after_stop",
-    "score_epoch", "score_epochs", "score_rows", "score_tables", "snr", "spectral_angle", "ssim",
-    "summarize", "vehicle_purity",
+    "same_track_after_stop", "score_epoch", "score_epochs", "score_rows", "score_tables", "snr",
+    "spectral_angle", "ssim", "summarize", "vehicle_purity",
 ]  # fmt: skip

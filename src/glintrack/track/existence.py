@@ -30,8 +30,7 @@ MIN_SPEED_M_S, MAX_AGE_S = 6.0, 5.0  # slower motion lowers the odds; limit of t
 MAX_SPEED_M_S = 15.0  # limit of the speed of young tracks
 NEIGHBOUR_M, SAME_SPEED_M_S = 12.0, 4.0
 QUEUE_M, QUEUE = 40.0, 4  # distance and number of the tracks of a queue
-PRIOR_TARGETS = 20.0  # a frame with fewer targets changes their log odds little
-MAX_SHIFT, _ITERATIONS = 0.5, 30  # limit of the rise of log odds [nat]; with more false tracks come
+_ITERATIONS = 30  # of expectation maximization
 _MAX_NEIGHBOURS = 24
 
 # Duplicates: chosen on quickstart 11 and 12 and braunschweig 11; three in four such pairs are one vehicle.
@@ -75,26 +74,27 @@ def group_log_odds(
     return odds
 
 
-def adapt_log_odds(log_odds: Float[Array, "target"], share: float) -> Float[Array, "target"]:
+def adapt_log_odds(channel: str, log_odds: Float[Array, "target"]) -> Float[Array, "target"]:
     """Raise log odds of existence where more of the targets are vehicles than usual.
 
     The model has one intercept for all traffic. Where nearly all targets are vehicles, as on a dense road, it
     doubts too many. Their share is estimated by expectation maximization: Saerens, Latinne and Decaestecker,
-    Neural Computation 14, 21 (2002). `PRIOR_TARGETS` more targets have the usual share. Where the estimate is
-    below it the log odds are kept: that of slow traffic is too low.
+    Neural Computation 14, 21 (2002). Log odds never fall, because the estimate is too low in slow traffic.
 
     Parameters
     ----------
+    channel
+        ``pan``, ``dolp`` or ``all``.
     log_odds
         Log odds by the model. [nat]
-    share
-        Usual share of vehicles. [1]
     """
-    shift, total = 0.0, len(log_odds) + PRIOR_TARGETS
+    known = read_calibration("existence").constants
+    share, prior = known["usual_share"][channel], known["prior_tracks"]
+    rise = 0.0
     for _ in range(_ITERATIONS):
-        here = (expit(log_odds + shift).sum() + PRIOR_TARGETS * share) / total
-        shift = float(np.clip(logit(here) - logit(share), 0.0, MAX_SHIFT))
-    return log_odds + shift
+        here = (expit(log_odds + rise).sum() + prior * share) / (len(log_odds) + prior)
+        rise = float(np.clip(logit(here) - logit(share), 0.0, known["max_rise"]))
+    return log_odds + rise
 
 
 def select_reported_tracks(

@@ -89,7 +89,7 @@ def report(state: TrackerState) -> xr.Dataset:
         primary = existence.primary_targets(state.duplicates, targets)
         odds = existence.group_log_odds(design.detect.channel, targets, primary, state.flow, state.time_s)
         shown = shown & (primary == np.arange(len(targets)))
-        shown = _select_candidates("existence", design, odds, shown, targets.mean)
+        shown = _select_candidates(design, odds, shown, targets.mean)
         targets = existence.move_to_mean_position(targets, primary)
     targets = select(targets, shown)
     return tracks_to_dataset(state.time_s, targets.id, targets.mean, targets.covariance, targets.misses > 0)
@@ -231,21 +231,19 @@ def _report_smoothed(epochs: Sequence[PendingEpoch]) -> xr.Dataset:
     model = read_calibration("existence_smoothed").models[first.design.detect.channel]
     may = ~found.coasted if not reporting.coasted else np.ones(len(found.ident), bool)
     odds = model.log_odds(found.features)
-    reported = _select_candidates("existence_smoothed", first.design, odds, may, found.mean)
+    reported = _select_candidates(first.design, odds, may, found.mean)
     return found.select(reported).dataset(first.time_s)
 
 
 def _select_candidates(
-    name: str,
     design: TrackDesign,
     log_odds: Float[Array, "track"],
     candidate: Bool[Array, "track"],
     mean: Float[Array, "track 4"],
 ) -> Bool[Array, "track"]:
-    """Select tracks by the log odds of a calibration, adapted to the candidates of this epoch."""
-    share = read_calibration(name).constants["share"][design.detect.channel]
+    """Select tracks by their log odds, adapted to the candidates of this epoch."""
     adapted = log_odds.copy()
-    adapted[candidate] = existence.adapt_log_odds(log_odds[candidate], share)
+    adapted[candidate] = existence.adapt_log_odds(design.detect.channel, log_odds[candidate])
     return existence.select_reported_tracks(
         adapted, candidate, is_moving(mean), design.reporting.max_false_share
     )
