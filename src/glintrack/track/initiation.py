@@ -236,7 +236,7 @@ def initiate(design, found, spectral, index, next_id, flow: Flow, roads=None, ot
     """Start a target for each of the detections at an index; confirm it only if apart from other targets.
 
     Its velocity is the detector's if that is always right, else that of the flow of traffic where it can be
-    trusted, else unknown, with a standard deviation as the speeds of the other targets.
+    trusted, else unknown: see `speed_sigma`.
     """
     n, place, ratio = len(index), found.position[index], found.log_likelihood_ratio
     velocity = None if found.velocity is None or found.velocity_share < 1 else found.velocity[index]
@@ -272,8 +272,8 @@ def initiate(design, found, spectral, index, next_id, flow: Flow, roads=None, ot
 def speed_sigma(design: TrackDesign, others: Targets | None) -> float:
     """Compute the standard deviation of each velocity component of a vehicle that is not yet known. [m s⁻¹]
 
-    In slow traffic a new track must not reach for the next vehicle: the mean square of the confirmed tracks'
-    velocity components, in which `PRIOR_TRACKS` move as the design has it, which is also the limit.
+    It is that of the design, or less where the confirmed tracks are slower: a wide gate reaches the next
+    vehicle of a queue. The value of the design counts as `PRIOR_TRACKS` more tracks.
     """
     limit = design.initiation.speed_sigma_m_s
     if others is None:
