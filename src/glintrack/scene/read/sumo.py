@@ -223,6 +223,7 @@ def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
 _DEBIAN_PACKAGES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
 # model, vClass and share in the traffic
 Mix = tuple[tuple[str, str, float], ...]
+TRIPS_SEED = 41  # to which the scene's seed is added
 _DATA = read_data("traffic", "sumo.toml")
 FIRST_MIX, FULL_MIX = (TypeAdapter(Mix).validate_python(mix) for mix in _DATA["mixes"].values())
 NETCONVERT: Mapping[str, tuple[str, ...]] = {k: tuple(v.split()) for k, v in _DATA["netconvert"].items()}

@@ -25,7 +25,7 @@ from glintrack.scene.design import SceneDesign
 from glintrack.scene.objects.geometry import polygons
 from glintrack.scene.objects.layout import MARGIN_M, Layout, area_with_margin, expand_extent
 from glintrack.scene.objects.surfaces import RoadNetwork, blocks, road_areas
-from glintrack.scene.read.sumo import NETCONVERT, SumoRun, load_or_simulate, sumo_home
+from glintrack.scene.read.sumo import NETCONVERT, TRIPS_SEED, SumoRun, load_or_simulate, sumo_home
 from glintrack.scene.sources.lots import buildings_by_rule, garden_trees, pavement_parking, yards
 from glintrack.scene.sources.site import VEHICLE_MARGIN_M, SceneOrigin, Site
 
@@ -51,7 +51,7 @@ def braunschweig_site(design: SceneDesign) -> Site:
         origin_m=CENTRE_M,
         duration_s=design.traffic_duration_s,
         insertion_period_s=design.traffic_insertion_period_s or _PERIOD_S,
-        seed=42,
+        seed=TRIPS_SEED + design.seed,
     )
     recording = load_or_simulate(run)
     place = SceneOrigin("EPSG:32632", *(CENTRE_M[i] + _UTM_OFFSET_M[i] for i in range(2)))

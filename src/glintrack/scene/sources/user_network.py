@@ -27,6 +27,7 @@ from glintrack.scene.read.osm import keeps_left, read_osm
 from glintrack.scene.read.polygons import Polygons, read_polygons
 from glintrack.scene.read.sumo import (
     FULL_MIX,
+    TRIPS_SEED,
     NetLocation,
     SumoRun,
     count_standing_signals,
@@ -186,7 +187,7 @@ def _traffic(
         origin_m=centre,
         duration_s=design.traffic_duration_s,
         insertion_period_s=period,
-        seed=42,
+        seed=TRIPS_SEED + design.seed,
         mix=FULL_MIX,
     )
     return replace(load_or_simulate(run), network=near), said
