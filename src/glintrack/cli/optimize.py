@@ -48,7 +48,7 @@ def optimize(
     with studies.open_pool(scheduler, workers, in_process, memory) as pool:
         runner = search.StudyRunner(setup, folder, pool, cache or cache_folder("hits"))
         runner.announce = lambda designs, cities, duration_s: console.print(
-            f"simulating {designs} designs in {cities} cities, {duration_s:g} s each"
+            f"simulating {designs} × {cities} (designs × cities), {duration_s:g} s each"
         )
         runner.callback = lambda event: _print_failure(console, event)
         with folder.open(runner.plan()):
@@ -85,8 +85,8 @@ def _print_setup(console: Console, setup: search.Optimization) -> None:
     )
     if setup.uses_recorded_traffic:
         console.print(
-            "all cities have the same recorded traffic (`base.scene.traffic_duration_s = 130` gives each "
-            "its own; extra `traffic`)"
+            "all cities have the same recorded traffic (`base.scene.traffic_duration_s = 130`, without a "
+            "`scene.traffic_file`, gives each its own; extra `traffic`)"
         )
 
 

@@ -25,7 +25,7 @@ _WORDS = read_data("words.toml")
 _SYNONYMS: Mapping[str, Sequence[str]] = _WORDS["keys"]  # other programs' for ours
 _MISSPELT = 0.8  # similarity of two words, above which one is the other misspelt
 _REQUIREMENTS: Mapping[str, str] = _WORDS["requirements"]
-_COUNT = re.compile(r"(?:Tuple|List) should have (.+) after validation, not \d+")
+_COUNT = re.compile(r"(Tuple|List|Dictionary) should have (.+) after validation, not \d+")
 _CHOICE = re.compile(r"`[^`]+` must be (?:one of )?(?P<known>.+); got '(?P<got>[^']{1,60})'\.")
 _MAX_ERRORS, _MAX_READ = 10, 1000  # that are reported, and of which sentences are made
 
@@ -234,7 +234,8 @@ def describe_value(error, key: str, unit: str) -> str:
     is_limit = kind.startswith(("greater_than", "less_than"))
     got = _shorten(str(value) if is_limit else repr(value))
     requirement = _REQUIREMENTS.get(kind) or _COUNT.sub(
-        r"a list of \1", error["msg"].removeprefix("Input should be ")
+        lambda found: f"a {'table' if found[1] == 'Dictionary' else 'list'} of {found[2]}",
+        error["msg"].removeprefix("Input should be "),
     )
     if unit and is_limit:
         requirement, got = f"{requirement} {unit}", f"{got} {unit}"

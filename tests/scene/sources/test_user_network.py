@@ -17,6 +17,7 @@ from glintrack.scene import SceneDesign, build_scene, record_traffic
 from glintrack.scene.objects.surfaces import Lane, RoadNetwork, road_areas
 from glintrack.scene.read.polygons import Footprint, Polygons
 from glintrack.scene.read.sumo import sumo_home
+from glintrack.scene.sources import user_network
 from glintrack.scene.sources.lots import pavement_parking
 from glintrack.scene.sources.user_network import busiest_place, streets_through_buildings
 from tests.scene.read.test_sumo_net import NET
@@ -58,6 +59,20 @@ def test_a_network_with_its_own_traffic_needs_no_sumo(files, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(files))  # built anew, not read
     again = build_scene(tiny(files))
     assert again.static.vertices.tobytes() == city.static.vertices.tobytes()
+
+
+def test_each_seed_of_the_scene_has_traffic_of_its_own(files, monkeypatch):
+    seeds = []
+
+    def stop(run):
+        seeds.append(run.seed)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(user_network, "load_or_simulate", stop)
+    for seed in (1, 2, 7):
+        with pytest.raises(KeyboardInterrupt):
+            record_traffic(tiny(files, traffic_file=None, seed=seed))
+    assert seeds == [42, 43, 48]
 
 
 def test_traffic_in_degrees_is_projected_where_the_city_has_a_place(files):

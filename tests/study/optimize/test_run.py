@@ -85,6 +85,21 @@ def test_what_nothing_meets_is_exit_code_1(tmp_path, cheap_cases):
     assert "`pan.false_per_km2 <= 5` limits it" in done.output and "widen the ranges" in done.output
 
 
+def test_a_budget_that_confirms_nothing_is_exit_code_3(tmp_path, cheap_cases):
+    text = SPEC.replace("simulations = 60", "simulations = 12").replace(">= 0.6", ">= 0.95")
+    done = invoke(write_spec(tmp_path, text), "-o", tmp_path / "out", "--serial", "--cache", tmp_path / "c")
+    assert done.exit_code == 3 and "Undecided: no design is confirmed" in done.output, done.output
+
+
+def test_cities_with_the_same_recorded_traffic_are_told(tmp_path):
+    words = "all cities have the same recorded traffic"
+    own = SPEC.replace("[axes]", "base.scene.traffic_duration_s = 130\n[axes]")
+    assert words in invoke(write_spec(tmp_path), "--dry-run").output
+    assert words not in invoke(write_spec(tmp_path, own), "--dry-run").output
+    packaged = SPEC.replace("base.toml", "arterial").replace(", 12]", ", 24]")
+    assert words in invoke(write_spec(tmp_path, packaged), "--dry-run").output
+
+
 def test_a_dry_run_writes_nothing_and_other_options_exclude_each_other(tmp_path):
     spec = write_spec(tmp_path)
     done = invoke(spec, "-o", tmp_path / "out", "--dry-run")

@@ -20,6 +20,7 @@ REQUIRE = 'require = ["custody >= 0.6", "false_per_km2 <= 20"]'
         (REQUIRE, "", "`require`"),
         (REQUIRE, 'require = ["dolp.custody >= 0.6"]', r"must name a channel of the case \(pan\)"),
         (PITCH, "sensor.pitch_um = { from = 8, to = 8 }", "`axes.sensor.pitch_um` must rise"),
+        (f"{PITCH}\n{RATE}\n", "", "`axes` must be a table of at least 1 item"),
         (PITCH, "sensor.pitch_um = []", "`axes.sensor.pitch_um` must be a list of values"),
         (
             PITCH,
