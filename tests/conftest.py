@@ -205,4 +205,9 @@ class ThreeCars:
 @pytest.fixture
 def three_cars(monkeypatch):
     """Put the three cars in place of whatever city a case names."""
+    put_three_cars(monkeypatch)
+
+
+def put_three_cars(monkeypatch):
+    """Let every case have the three cars."""
     monkeypatch.setattr(scenario, "build_scene", lambda design: ThreeCars(load_materials()))

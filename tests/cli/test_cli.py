@@ -1,10 +1,12 @@
 """The program: what it writes, and what wrong input is told."""
 
+import io
 import json
 import os
 import signal
 import sys
 import tomllib
+from contextlib import redirect_stdout
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,6 +21,7 @@ from glintrack.cli import app
 from glintrack.cli.run import describe_progress
 from glintrack.io.tracks import MATCH_COLUMNS, TRACK_COLUMNS, WRITERS
 from glintrack.results import run as functions
+from tests.conftest import put_three_cars
 
 SMALL = """
 name = "three cars"
@@ -48,17 +51,31 @@ def program(monkeypatch, *arguments):
 
 @pytest.fixture
 def case_file(tmp_path):
-    path = tmp_path / "case.toml"
-    path.write_text(SMALL, encoding="utf-8")
+    return write_case(tmp_path)
+
+
+def write_case(folder, text=SMALL):
+    path = folder / "case.toml"
+    path.write_text(text, encoding="utf-8")
     return path
 
 
-def test_a_run_writes_one_whole_folder(monkeypatch, three_cars, case_file, tmp_path, capsys):
-    folder = tmp_path / "result"
-    assert program(monkeypatch, "run", case_file, "-o", folder) == 0
-    assert "wrote" in capsys.readouterr().out
-    assert [p.name for p in tmp_path.iterdir() if "partial" in p.name] == []
-    assert Case.from_toml(folder / "case.toml") == Case.from_toml(case_file)
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """Folder that one call of ``glintrack run`` wrote; its parent holds the case alone."""
+    parent = tmp_path_factory.mktemp("run")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        put_three_cars(monkeypatch)
+        with redirect_stdout(io.StringIO()) as out:
+            assert program(monkeypatch, "run", write_case(parent), "-o", parent / "result") == 0
+    assert "wrote" in out.getvalue()
+    return parent / "result"
+
+
+def test_a_run_writes_one_whole_folder(monkeypatch, result, tmp_path):
+    folder = result
+    assert sorted(p.name for p in folder.parent.iterdir()) == ["case.toml", "result"]
+    assert Case.from_toml(folder / "case.toml") == Case.from_toml(folder.parent / "case.toml")
     provenance = tomllib.loads((folder / "provenance.toml").read_text())
     assert provenance["frames_done"] == 9 and provenance["versions"]["numpy"] == np.__version__
     tracks = pd.read_csv(folder / "tracks_pan.csv")
@@ -83,10 +100,9 @@ def test_a_run_writes_one_whole_folder(monkeypatch, three_cars, case_file, tmp_p
         assert (folder / "pictures" / f"{name}.png").stat().st_size > 5000
 
 
-def test_frames_and_lines_lie_where_the_cars_are(monkeypatch, three_cars, case_file, tmp_path):
+def test_frames_and_lines_lie_where_the_cars_are(result):
     """The bright car in the GeoTIFF, its track in GeoJSON and the truth agree on the map."""
-    folder = tmp_path / "result"
-    program(monkeypatch, "run", case_file, "-o", folder)
+    folder = result
     path = sorted((folder / "frames").glob("pan_*.tif"))[-1]
     truth = pd.read_csv(folder / "truth.csv")
     with rasterio.open(path) as file:
@@ -193,7 +209,9 @@ def test_wrong_calls_get_one_sentence_and_leave_nothing(monkeypatch, three_cars,
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_fault_while_writing_leaves_nothing(monkeypatch, three_cars, case_file, tmp_path):
+def test_a_fault_while_writing_leaves_nothing(monkeypatch, three_cars, tmp_path):
+    case_file = write_case(tmp_path, SMALL.replace("frames = 9", "frames = 2"))
+
     def full(*arguments):
         raise OSError(28, "No space left on device")
 
