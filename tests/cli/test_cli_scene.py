@@ -40,9 +40,10 @@ def test_a_scene_moves_with_the_files_beside_it(tmp_path):
 
 def test_build_writes_a_case_and_refuses_what_is_there(tmp_path):
     path = tmp_path / "scene.toml"
-    done = run(app, ["scene", "build", "--seed", "3", "--no-trees", "-o", str(path)])
+    small = ["--width", "120", "--height", "80", "--no-trees"]
+    done = run(app, ["scene", "build", "--seed", "3", *small, "--no-sky", "-o", str(path)])
     assert done.exit_code == 0, done.output
-    assert Case.from_toml(path).scene == SceneDesign(seed=3, trees=False)
+    assert Case.from_toml(path).scene == SceneDesign(seed=3, trees=False, width_m=120, height_m=80)
     assert tomllib.loads(path.read_text())["scene"]["city"] == "embedded"
     assert "triangles" in done.output and f"wrote {path}" in done.output
     again = run(app, ["scene", "build", "-o", str(path)])
@@ -84,7 +85,7 @@ def test_build_says_how_to_run_a_case_over_a_file_from_elsewhere(tmp_path):
     paint.write_text("", encoding="utf-8")
     for folder, said in ((tmp_path, False), (tmp_path / "mine", True)):
         made = folder / "scene.toml"
-        small = ["--width", "120", "--height", "80", "--no-trees"]
+        small = ["--width", "120", "--height", "80", "--no-trees", "--no-sky"]
         done = run(app, ["scene", "build", *small, "--materials", str(paint), "-o", str(made)])
         assert done.exit_code == 0, done.output
         assert (f"`glintrack run {made} --allow-outside-paths`" in done.output) == said

@@ -1,6 +1,8 @@
 """Position of the sun and its irradiance above the atmosphere."""
 
+import datetime
 import math
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
@@ -27,9 +29,7 @@ def sun_direction(design: AtmosphereDesign) -> tuple[float, float]:
     """
     if design.sun_zenith_deg is not None and design.sun_azimuth_deg is not None:
         return math.radians(design.sun_zenith_deg), math.radians(design.sun_azimuth_deg) % (2 * math.pi)
-    times = pd.DatetimeIndex([design.utc])
-    found = pvlib.solarposition.spa_python(times, design.latitude_deg, design.longitude_deg)
-    zenith_deg, azimuth_deg = float(found["zenith"].iloc[0]), float(found["azimuth"].iloc[0])
+    zenith_deg, azimuth_deg = _sun_angles_deg(design.utc, design.latitude_deg, design.longitude_deg)
     if zenith_deg > HIGHEST_SUN_ZENITH_DEG:
         raise ValueError(
             f"`local_time_h` must put the sun within 0 to {HIGHEST_SUN_ZENITH_DEG:g}° of the zenith; got "
@@ -37,6 +37,13 @@ def sun_direction(design: AtmosphereDesign) -> tuple[float, float]:
             f"{'below' if zenith_deg > 90 else 'above'} the horizon."
         )
     return math.radians(zenith_deg), math.radians(azimuth_deg)
+
+
+@lru_cache(maxsize=64)  # a study asks a thousand times for one of a few
+def _sun_angles_deg(utc: datetime.datetime, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+    """Geometric zenith angle and azimuth of the sun. [deg]"""
+    found = pvlib.solarposition.spa_python(pd.DatetimeIndex([utc]), latitude_deg, longitude_deg)
+    return float(found["zenith"].iloc[0]), float(found["azimuth"].iloc[0])
 
 
 def earth_sun_distance(design: AtmosphereDesign) -> float:
