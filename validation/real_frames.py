@@ -10,11 +10,10 @@ classical detectors with the constant-velocity tracker of rectified frames.
 
 A position is right within 4 m of a label that moves at 1 m/s or more over the frames about it, one to one.
 Beside any other label it counts neither way. In WPAFB nothing within 4 m of the frame's edge counts, and
-``five`` leaves out the first file, whose labels are of another moment than its image. In CLIF ``roads`` are
-labelled roads in view in three quarters of the frames, ``ground`` is all labelled ground. ``now`` are the
-positions that are reported with a lag of 0: none before a track's confirmation, but also tracks that end
-early. A track is false if most of its positions are. Switches are changes of the track of a labelled vehicle,
-per vehicle and 15 s of tracks.
+``five`` leaves out the first file, whose labels are of another moment. In CLIF ``roads`` are labelled roads
+in view in three quarters of the frames, ``ground`` is all labelled ground. ``now`` are positions reported
+with a lag of 0: none before a track's confirmation, but also tracks that end early. Most positions of a false
+track are false. Switches are changes of the track of a labelled vehicle, per vehicle and 15 s of tracks.
 
 With --twin, a set that ``glintrack dataset build validation/clif_twin.toml -o FOLDER`` simulates, one table
 has the measurements of `glintrack.dataset.comparison` in CLIF and its twin instead. The twin's frames are
