@@ -11,7 +11,7 @@ $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-reco
 $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends libllvm19 chromium ||
   echo "without LLVM 19 and Chromium, the comparison with Mitsuba and the browser tests are skipped"
 python3 -m venv .venv
-.venv/bin/pip install --require-hashes -r requirements.lock
+.venv/bin/pip install --no-compile --require-hashes -r requirements.lock
 .venv/bin/pip install --no-deps -e .
 # two processes share the processors: one thread each for matrices and trees, and no busy waiting
 OMP_NUM_THREADS=1 OMP_WAIT_POLICY=passive .venv/bin/python -m pytest -n 2 --dist worksteal "$@"
