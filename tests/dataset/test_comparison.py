@@ -65,3 +65,13 @@ def test_a_painted_sequence_is_measured(painted):
     table = comparison_table({"one": numbers, "other": numbers}).splitlines()
     assert len(table) == len(numbers) + 2 and table[0] == "| quantity | one | other |"
     assert Measured("f", "m", 1234.5, 1.0, 2.0).text == "1,230 (1 to 2)"
+
+
+def test_bright_vehicles_are_counted(painted):
+    """A vehicle with a pixel of many times the ground is bright."""
+    name, frames = "bright vehicles among labels on bright ground", painted.frames.copy()
+    row, column = painted.cells(painted.labels[["east_m", "north_m"]].to_numpy(float)).T
+    frames[painted.labels["frame"], row, column] = 10 * frames.max()
+    bright = LabelledSequence(painted.times_s, frames, 1.0, painted.labels, painted.areas)
+    share = {one.name: one.value for one in measure(bright, "all")}[name]
+    assert share == 1 > {one.name: one.value for one in measure(painted, "all")}[name]

@@ -24,6 +24,8 @@ from glintrack.track.files import FRAMES_DESIGN, as_rows, is_lasting, track_fram
 
 TILES = 4  # along each side of the grid
 NEAR_LABEL_PX = 2  # a label is good to 1.5 pixels
+BODY_PX = 3  # reach of a vehicle's pixels from its label
+BRIGHT_RATIO = 2.0  # of a change to the ground, from which a vehicle is bright
 SAMPLE_STEP = 11  # of residuals: every so many pixels
 SPEEDS_M_S = (1.0, 5.0, 12.0, np.inf)
 CONTRASTS = (0.0, 1.5, 3.0, np.inf)
@@ -81,8 +83,8 @@ def measure(sequence: LabelledSequence, area: str) -> list[Measured]:
         Name of the area whose labels and false positions count.
     """
     found = detect_frames(sequence)
-    is_dark = _is_on_dark_ground(sequence)
-    labels = sequence.labels.assign(contrast=found.contrast, is_dark=is_dark)
+    is_dark, is_bright = _is_on_dark_ground(sequence), _is_bright(sequence)
+    labels = sequence.labels.assign(contrast=found.contrast, is_dark=is_dark, is_bright=is_bright)
     ready = replace(sequence, labels=labels[np.isfinite(found.contrast)])
     rows = tracks_of(sequence).query("lasting")
     detected, tracked = match_positions(ready, found.rows, area), match_positions(sequence, rows, area)
@@ -168,6 +170,21 @@ def _is_on_dark_ground(sequence: LabelledSequence) -> Bool[Array, "label"]:
     return np.nanmedian(sequence.frames[:, row, column], axis=0) < np.median(known)
 
 
+def _is_bright(sequence: LabelledSequence) -> Bool[Array, "label"]:
+    """Return True for labels next to a change to brighter by more than `BRIGHT_RATIO` times their ground.
+
+    The ground is the median of all frames.
+    """
+    cells = sequence.cells(sequence.labels[["east_m", "north_m"]].to_numpy(float))
+    reach = np.arange(-BODY_PX, BODY_PX + 1)
+    near = cells[:, None, None] + np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1)
+    row, column = np.moveaxis(np.clip(near, 0, np.array(sequence.frames.shape[1:]) - 1), -1, 0)
+    median = np.nanmedian(sequence.frames[:, row, column], axis=0)
+    now = sequence.frames[sequence.labels["frame"].to_numpy(int)[:, None, None], row, column]
+    change = np.nan_to_num(now - median, nan=-np.inf).max(axis=(1, 2))
+    return change > BRIGHT_RATIO * median[:, BODY_PX, BODY_PX]
+
+
 def _sample_residual(change: Float[Array, "y x"], cells: Int[Array, "label 2"]) -> pd.DataFrame:
     """Sizes of some changes far from all labels, with their tiles."""
     place = np.argwhere(np.isfinite(change[::SAMPLE_STEP, ::SAMPLE_STEP])) * SAMPLE_STEP
@@ -216,6 +233,8 @@ def _measure_detections(sequence: LabelledSequence, detected: Matches, area: str
     for text, is_dark in (("dark", True), ("bright", False)):
         part = labels.take(np.flatnonzero(labels["is_dark"] == is_dark))
         yield _share(f"{name}, {text} ground", part, "found")
+        if not is_dark:
+            yield _share("bright vehicles among labels on bright ground", part, "is_bright")
     seen = (sequence.areas[area] & np.isfinite(sequence.frames[2:])).sum(axis=0)
     yield _density("false detections in a frame", sequence, detected.false, seen)
 
