@@ -6,6 +6,7 @@ import pytest
 import xarray as xr
 
 from glintrack import simulate
+from tests.conftest import put_three_cars
 from tests.plain import plain_case
 
 
@@ -20,8 +21,15 @@ def case(**changes):
     return plain_case({**design, **changes})
 
 
-def test_three_cars_and_a_perfect_sensor_are_tracked_completely_and_purely(three_cars):
-    tree = simulate(case())
+@pytest.fixture(scope="module")
+def tree():
+    """Result of the case as it is."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        put_three_cars(monkeypatch)
+        return simulate(case())
+
+
+def test_three_cars_and_a_perfect_sensor_are_tracked_completely_and_purely(tree):
     start_up = 6  # frames in which background and confirmation settle: 3 s
     np.testing.assert_array_equal(tree["pan"]["completeness"].values[start_up:], 1.0)
     assert tree["pan"].attrs["purity"] == 1.0
@@ -30,8 +38,7 @@ def test_three_cars_and_a_perfect_sensor_are_tracked_completely_and_purely(three
     assert tree["pan"].attrs["position_rms_m"] < 1.5  # one superpixel
 
 
-def test_spectra_are_asked_for_and_served(three_cars):
-    tree = simulate(case())
+def test_spectra_are_asked_for_and_served(tree):
     assert tree["pan"]["queries_served"].values[6:].min() >= 1
     assert (tree["pan"]["queries_served"] <= tree["pan"]["queries_asked"]).all()
 
