@@ -1,5 +1,6 @@
-"""A study over two hosts: network namespaces with their own addresses, file systems and caches."""
+"""A study and an optimization over two hosts: network namespaces with own addresses, files and caches."""
 
+import json
 import os
 import shutil
 import signal
@@ -11,8 +12,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from glintrack.study import serial
+from glintrack.study import StudyFolder, serial
+from glintrack.study.optimize import StudyRunner, read_optimization, run_search
 from tests.study.cases import SLOW, write_study
+from tests.study.optimize.cameras import camera, write_spec
 from tests.study.test_clusters import table
 
 pytest.importorskip("distributed", reason="needs the extra `cluster`")
@@ -34,10 +37,11 @@ import sys
 from pathlib import Path
 from distributed import Client
 from glintrack.study import dask
-from tests.study.test_two_hosts import flown_by
+from tests.study.test_two_hosts import flown_by, searched_by
 with Client(sys.argv[2], timeout=300, set_as_default=False) as client:
     client.wait_for_workers(1, timeout=300)
 flown_by(Path(sys.argv[1]), "hosts", dask(sys.argv[2]))
+searched_by(Path(sys.argv[1]), "hosts", dask(sys.argv[2]))
 """
 
 
@@ -46,6 +50,18 @@ def flown_by(tmp_path, name, pool):
     found = table(tmp_path, name, pool, CASES)
     found.to_csv(tmp_path / f"{name}.csv", index=False)
     return found
+
+
+def searched_by(tmp_path, name, pool):
+    """Answer, design and scores of an optimization, written beside the study."""
+    setup = read_optimization(write_spec(tmp_path / "optimization"))
+    folder = StudyFolder(tmp_path / f"optimization-{name}")
+    runner = StudyRunner(setup, folder, None, None, camera)
+    with pool as runner.pool, folder.open(runner.plan()):
+        found = run_search(runner)
+    text = json.dumps([found.answer, found.design, found.observations.scores.tolist()])
+    (tmp_path / f"optimization-{name}.json").write_text(text)
+    return text
 
 
 def ip(words):
@@ -113,9 +129,10 @@ def wait_until(condition, seconds=300.0):
 
 
 @pytest.mark.slow
-def test_two_hosts_give_the_table_of_one_while_a_worker_dies_and_returns(tmp_path, hosts):
+def test_two_hosts_give_the_results_of_one_while_a_worker_dies_and_returns(tmp_path, hosts):
     write_study(tmp_path, CASES)
     expected = flown_by(tmp_path, "here", serial())
+    found_here = searched_by(tmp_path, "here", serial())
     here = set((tmp_path / "scratch").iterdir())
     enter = ["ip", "netns", "exec", hosts["near"]]
     words = f"-m dask scheduler --host {HOSTS['near']} --port 8786 --no-dashboard"
@@ -140,6 +157,7 @@ def test_two_hosts_give_the_table_of_one_while_a_worker_dies_and_returns(tmp_pat
             process.kill()
             process.wait(30)
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "hosts.csv"), pd.read_csv(tmp_path / "here.csv"))
+    assert (tmp_path / "optimization-hosts.json").read_text() == found_here
     assert near and before_death
     assert len(near | far | before_death) == len(expected) // 2  # each row is of one channel
     assert set((tmp_path / "scratch").iterdir()) == here  # no worker wrote into this host's folder

@@ -20,6 +20,7 @@ from glintrack.study.optimize.surrogate import GaussianProcess, fit_gaussian_pro
 LADDER = (0.2, 0.4, 0.6, 0.8)  # probabilities of the designs of a batch, which share their city
 ATTEMPTS = 4  # confirmations for which up to half of the simulations are reserved
 BOLD = 0.6  # probability from which a design is tried while two more confirmations remain
+MIN_CITIES = 0.5  # share of the search's cities before it may end: a few scores fit any noise
 MIN_SAVING = 0.003  # possible saving below which the search ends, as a share of the cost
 
 
@@ -160,8 +161,11 @@ def find_cheapest(problem: Problem, simulate: Simulate) -> Outcome:
     state.run(range(problem.first_designs), state.next_city(), len(problem.durations_s) - 1)
     reserve = max(state.confirmation, min(ATTEMPTS * state.confirmation, state.room() // 2))
     while state.room() >= state.cost_of(len(LADDER), 1) + reserve:
+        now = state.outcome()
+        if state.batches >= MIN_CITIES * problem.cities and not can_save(problem, now):
+            break
         city = state.next_city()
-        batch = next_designs(problem, state.outcome(), city)
+        batch = next_designs(problem, now, city)
         if not batch:
             break
         state.run(batch, city, 0)
@@ -169,11 +173,14 @@ def find_cheapest(problem: Problem, simulate: Simulate) -> Outcome:
 
 
 def _confirm(problem: Problem, state: "_State") -> Outcome:
-    """Simulate promising designs over unseen cities, each over others, as long as one may be cheaper."""
+    """Simulate promising designs over unseen cities, each over others, as long as one may be cheaper.
+
+    If no design seems to meet the requirements, the nearest is simulated all the same.
+    """
     now, first = state.outcome(), problem.cities
     confirmed: dict[int, tuple[int, ...]] = {}
     passed: list[int] = []
-    while now.answer == "undecided" and state.room() >= state.confirmation:
+    while (now.answer == "undecided" or not confirmed) and state.room() >= state.confirmation:
         is_late = not passed and state.room() < 3 * state.confirmation
         best = min(problem.cost[passed], default=math.inf)
         design = _next_confirmation(problem, now, list(confirmed), best, is_late)
@@ -203,8 +210,17 @@ def _next_confirmation(
     return None if math.isfinite(best) or probable.max() < 0 else int(probable.argmax())
 
 
+def can_save(problem: Problem, now: Outcome) -> bool:
+    """Return False if a design is promising, and none that may meet the requirements is much cheaper."""
+    probable, cost = now.feasibility, problem.cost
+    if probable[now.design] < problem.trial_probability:
+        return True
+    saving = cost[now.design] - cost[probable >= LADDER[0]].min()
+    return saving >= MIN_SAVING * max(abs(cost[now.design]), float(np.ptp(cost)))
+
+
 def next_designs(problem: Problem, now: Outcome, cities: Sequence[int]) -> list[int]:
-    """Choose the cheapest design of each probability in `LADDER`; empty if none can be much cheaper.
+    """Choose the cheapest design of each probability in `LADDER`; empty if all are simulated.
 
     Parameters
     ----------
@@ -214,10 +230,6 @@ def next_designs(problem: Problem, now: Outcome, cities: Sequence[int]) -> list[
         Cities of the batch; a design is not simulated there twice.
     """
     probable, cost = now.feasibility.copy(), problem.cost
-    if now.feasibility[now.design] >= problem.trial_probability:
-        saving = cost[now.design] - cost[probable >= LADDER[0]].min()
-        if saving < MIN_SAVING * max(abs(cost[now.design]), float(np.ptp(cost))):
-            return []
     probable[now.observations.design[np.isin(now.observations.city, cities)]] = -1.0
     chosen: list[int] = []
     for limit in LADDER:

@@ -31,7 +31,7 @@ from glintrack.core.installation import require_extra
 _ANY = 1e6  # length scale of a coordinate without effect
 _LENGTHS = (0.15, 20.0)  # in ranges of an axis
 _DURATION_LENGTHS = (1.0, 50.0)  # in halvings of the duration
-_SIGNAL, _CITY, _NOISE = (0.03, 30.0), (0.02, 5.0), (0.002, 5.0)  # over the variance of the scores
+_SIGNAL, _CITY, _NOISE = (0.03, 30.0), (0.02, 5.0), (0.01, 5.0)  # over the variance of the scores
 
 
 @dataclass(frozen=True)
