@@ -43,7 +43,7 @@ def test_claims_of_replayed_searches_are_cheap_and_few_are_false(name):
     rows = replay(name, 4)
     claimed = rows[rows["answer"] == "yes"]
     assert len(claimed) >= 2 and claimed["true"].mean() >= 0.5
-    assert claimed["ratio"].median() <= 1.5 and rows["simulations"].max() <= 60
+    assert claimed["ratio"].median() <= 2 and rows["simulations"].max() <= 60
 
 
 if __name__ == "__main__":
