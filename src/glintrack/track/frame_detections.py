@@ -16,7 +16,7 @@ from glintrack.track.detect.detector import Detector, detector_of
 from glintrack.track.detect.frame import Frame, Grid, grid_of, in_view
 from glintrack.track.existence import Duplicates, no_duplicates
 from glintrack.track.flow import Flow, no_flow
-from glintrack.track.initiation import Targets, is_stopped
+from glintrack.track.initiation import Targets, is_slow, is_stopped
 from glintrack.track.motion import (
     COAST_DAMPING_S,
     MAX_COAST_SIGMA_M,
@@ -157,7 +157,7 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
         on_map &= state.leaves.chosen
     frame = replace(
         frame, grid=grid, channel=design.detect.channel, interval_s=interval_s,
-        expected_m=targets.position[on_map],
+        expected_m=targets.position[on_map], slow_m=targets.position[is_slow(targets)],
     )  # fmt: skip
     detector = state.detector or detector_of(design.detect, frame)
     memory = detector.start(frame) if state.memory is None else state.memory

@@ -17,6 +17,7 @@ from glintrack.track.motion import COAST_DAMPING_S, Modes, combine_modes, initia
 
 TENTATIVE_MISSES = 1  # consecutive frames that an unconfirmed track may miss
 STOPPED_SPEED_M_S = 1.5  # a slower track stands, with one mode of motion
+SLOW_SPEED_M_S = 4.0  # a slower vehicle may come to stand
 STOPPED_TRAVEL_M = 15.0  # a track that stands nearer to its first position may be no vehicle
 RECENT_RATIO_S = 1.2  # time constant of a track's mean likelihood ratio
 MISSED_NAT = -3.0  # likelihood ratio of a frame without a detection
@@ -178,8 +179,8 @@ def update_status(
     stands = standing_probability(targets, seen.motion.stopped)
     if ratio is not None:
         change = np.append(ratio, MISSED_NAT)[assigned] - recent_ratio
-        # change detection forgets a vehicle that stands: this is no evidence against it
-        change = np.where(is_stopped(targets), np.maximum(change, 0.0), change)
+        # change detection forgets a vehicle that stands, and what stays at a place is often no vehicle
+        change = np.where(is_stopped(targets), 0.0, change)
         recent_ratio = recent_ratio - math.expm1(-interval_s / RECENT_RATIO_S) * change
     frames_since_query = targets.frames_since_query
     if design.query.at == "detection":  # else `query_predictions` knows the queried targets
@@ -214,6 +215,13 @@ def is_stopped(targets: Targets) -> Bool[Array, "target"]:
     stopped = targets.mode_probability.shape[1] - 1 or -1
     travel_m = np.hypot(*(targets.position - targets.first_position).T)
     return (standing_probability(targets, stopped) > 0.5) & (travel_m >= STOPPED_TRAVEL_M) & targets.confirmed
+
+
+def is_slow(targets: Targets) -> Bool[Array, "target"]:
+    """Return True for vehicles that are slow, or stand, after a drive."""
+    travel_m = np.hypot(*(targets.position - targets.first_position).T)
+    slow = np.hypot(*targets.mean[:, 2:].T) < SLOW_SPEED_M_S
+    return slow & (travel_m >= STOPPED_TRAVEL_M) & targets.confirmed
 
 
 def select_unassigned(

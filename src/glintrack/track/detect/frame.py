@@ -67,6 +67,8 @@ class Frame:
         Time since the frame before, 0 for the first. The tracker sets it. [s]
     expected_m
         Predicted positions of confirmed tracks in this frame. The tracker sets it. [m]
+    slow_m
+        Those of confirmed tracks that are slow, or stand, after a drive. The tracker sets it. [m]
     """
 
     time_s: float
@@ -81,6 +83,7 @@ class Frame:
     channel: str = "pan"
     interval_s: float = 0.0
     expected_m: Float[Array, "track 2"] = field(default_factory=lambda: np.empty((0, 2)))
+    slow_m: Float[Array, "slow 2"] = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
     def mean_height_m(self) -> float:

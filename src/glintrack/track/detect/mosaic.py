@@ -46,6 +46,7 @@ from glintrack.track.detect.mosaic_peaks import (
     select_peaks,
 )
 from glintrack.track.detect.mosaic_windows import evidence_on_ground, window_features
+from glintrack.track.detect.standing import hold_share, is_occupied, standing_ratio
 
 CELL_M = 0.75
 EXTENT_M = 3.9  # diameter of a detection
@@ -83,6 +84,8 @@ class MosaicMemory:
         Mean strength of the windows over the last seconds, each the greatest within a cell. [1]
     masked
         Share of the last seconds for which each coarse cell of the ground was masked. [1]
+    held
+        The same for cells below a vehicle that is slow or stands. [1]
     layers
         Strength in earlier frames, the oldest first.
     factor
@@ -98,6 +101,7 @@ class MosaicMemory:
     ground: Ground
     restless: Float[Array, "row column"]
     masked: Float[Array, "coarse_row coarse_column"]
+    held: Float[Array, "coarse_row coarse_column"]
     factor: int
     layers: tuple[StrengthLayer, ...] = ()
     frames: int = 0
@@ -119,6 +123,8 @@ class SearchedMosaic:
     place_m, ratio
         Position of each peak on the ground, by the poses reported in the last seconds, and its log-likelihood
         ratio. [m, nat]
+    occupied_m
+        Places of slow tracks at which there is a vehicle. [m]
     """
 
     prediction: ElementPrediction
@@ -126,6 +132,7 @@ class SearchedMosaic:
     peaks: Peaks
     place_m: Float[Array, "peak 2"]
     ratio: Float[Array, "peak"]
+    occupied_m: Float[Array, "slow 2"]
 
 
 @dataclass(frozen=True)
@@ -158,7 +165,7 @@ class MosaicDetector:
         grid = grid_of(frame, None)
         ground = empty_ground(grid, select_elements(mosaic.layout, frame.channel), side)
         restless, masked = (np.zeros(n, np.float32) for n in (_window_grid(grid)[1], ground.differed_s.shape))
-        return MosaicMemory(grid, mosaic.layout, ground, restless, masked, frame_binning(frame))
+        return MosaicMemory(grid, mosaic.layout, ground, restless, masked, masked, frame_binning(frame))
 
     def detect(self, state: MosaicMemory, frame: Frame) -> Detections:
         """Detect windows of a vehicle's size that differ from the ground map, along a straight motion.
@@ -190,7 +197,8 @@ class MosaicDetector:
         above = known[known > usual]
         spread = float(np.median(above)) - usual if len(above) else 0.0
         if state.frames < WARM_UP or frame.time_s - (ground.first_s or 0.0) < WARM_UP_S:
-            nothing = SearchedMosaic(seen, strength, no_peaks(channel), np.empty((0, 2)), np.empty(0))
+            nowhere = np.empty((0, 2))
+            nothing = SearchedMosaic(seen, strength, no_peaks(channel), nowhere, np.empty(0), nowhere)
             return replace(no_detections(), log_likelihood_ratio=np.empty(0), detail=nothing)
         layers = _supporting_layers(state.layers, frame.time_s)
         strengths, times_s = zip(*((layer.strength, layer.time_s) for layer in layers), strict=True)
@@ -202,18 +210,29 @@ class MosaicDetector:
             found = replace(found, features=np.hstack([found.features, signed]))
         place_m = np.array(corner) + CELL_M * found.place[:, ::-1] * (1, -1) - np.array(ground.shift_m)
         ratio = log_likelihood_ratio(channel, found.features)
+        slow_m = frame.slow_m - _toward_camera(frame, frame.slow_m)
+        kinds = ground.places, ground.side, seen.readings
+        occupied = is_occupied(slow_m + np.array(ground.shift_m), corner, CELL_M, element, kinds)
+        ratio = standing_ratio(ratio, found.features[:, 1], place_m, slow_m, occupied)
         east_m, north_m = (mean - now for mean, now in zip(ground.shift_m, seen.moved_m, strict=True))
-        searched = SearchedMosaic(seen, strength, found, place_m, ratio)
+        searched = SearchedMosaic(seen, strength, found, place_m, ratio, slow_m[occupied])
         detections = _detections(searched, frame, (east_m, north_m))
         return replace(detections, velocity_most_m_s=speed_m_s)
 
     def update(
         self, state: MosaicMemory, frame: Frame, detections: Detections, association: Association
     ) -> MosaicMemory:
-        """Update the state with a frame; vehicles are masked, unless they have stood for a long time."""
+        """Update the state with a frame; vehicles are masked, unless they have stood for a long time.
+
+        A mask ends after a short time, and later where a track is slow or stands.
+        """
         seen: SearchedMosaic = detections.detail
         mask = _mask(state.ground, seen.place_m[seen.ratio > MASK_RATIO] + np.array(state.ground.shift_m))
         hidden = mask & (state.masked < 1 - math.exp(-1))  # the mask of a place ends after a long time
+        slow = _mask(state.ground, seen.occupied_m + np.array(state.ground.shift_m))
+        gain, longest = hold_share(frame.interval_s)
+        held = state.held + np.float32(gain) * (slow - state.held)
+        keep = slow & (held < longest)
         first = state.first
         if first is not None and not (first and frame.time_s - first[-1].time_s < SPACING_S):
             binned = bin_frame(frame, state.factor)
@@ -221,7 +240,8 @@ class MosaicDetector:
         if first is not None and len(first) == FIRST_FRAMES:
             ground, first = _ground_of_first_frames(state.ground, first), None
         else:
-            ground = update_ground(state.ground, seen.prediction, hidden, frame.time_s, frame.interval_s)
+            times_s = frame.time_s, frame.interval_s
+            ground = update_ground(state.ground, seen.prediction, hidden | keep, *times_s, held=keep)
         masked = state.masked + np.float32(-math.expm1(-frame.interval_s / MASK_S)) * (mask - state.masked)
         around = maximum_filter(seen.strength, 3)
         past = _supporting_layers(state.layers, frame.time_s)
@@ -233,8 +253,8 @@ class MosaicDetector:
         share = np.float32(-math.expm1(-frame.interval_s / RESTLESS_S)) if state.frames else np.float32(1.0)
         restless = state.restless + share * (np.minimum(around, MAX_RESTLESS) - state.restless)
         return replace(
-            state, ground=ground, restless=restless, masked=masked, layers=layers, frames=state.frames + 1,
-            first=first,
+            state, ground=ground, restless=restless, masked=masked, held=held, layers=layers,
+            frames=state.frames + 1, first=first,
         )  # fmt: skip
 
 
@@ -332,19 +352,25 @@ def _detections(searched: SearchedMosaic, frame: Frame, displacement_m: tuple[fl
     likely = select_peaks(searched.place_m, searched.peaks.velocity, searched.ratio, frame.channel)
     position, ratio = searched.place_m[likely], searched.ratio[likely]
     known = read_calibration("mosaic").constants["place"][frame.channel]
-    pose, ground_m = raw_of(frame)[2], frame.mean_height_m
-    to_camera = pose.position[:2] - position
-    slope = np.hypot(*to_camera.T) / max(pose.up_m - ground_m, 1.0)
-    unit = to_camera / np.maximum(np.hypot(*to_camera.T), 1e-9)[:, None]
-    outer = unit[:, :, None] * unit[:, None, :]
-    covariance = (
-        known["sigma_m"] ** 2 * np.eye(2) + (known["height_sigma_m"] * slope[:, None, None]) ** 2 * outer
-    )
+    slope = _slope(frame, position)
+    outer = slope[:, :, None] * slope[:, None, :]
+    covariance = known["sigma_m"] ** 2 * np.eye(2) + known["height_sigma_m"] ** 2 * outer
     n = len(likely)
     return Detections(
-        position + (known["height_m"] * slope)[:, None] * unit, covariance.reshape(n, 2, 2),
+        position + _toward_camera(frame, position), covariance.reshape(n, 2, 2),
         np.full(n, EXTENT_M), np.exp(np.clip(ratio, -20, 20)),
         log_likelihood_ratio=detection_ratio(frame.channel, ratio), displacement_m=displacement_m,
         velocity=searched.peaks.velocity[likely], velocity_sigma_m_s=SPEED_SIGMA_M_S,
         velocity_share=RIGHT_SHARE, correlation_s=CORRELATION_S, detail=searched,
     )  # fmt: skip
+
+
+def _slope(frame: Frame, place_m: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+    """East and north toward the camera, over the height in which they are covered. [1]"""
+    pose = raw_of(frame)[2]
+    return (pose.position[:2] - place_m) / max(pose.up_m - frame.mean_height_m, 1.0)
+
+
+def _toward_camera(frame: Frame, place_m: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+    """From a place on the ground to the vehicle whose centre appears there, east and north. [m]"""
+    return read_calibration("mosaic").constants["place"][frame.channel]["height_m"] * _slope(frame, place_m)

@@ -168,6 +168,7 @@ def update_ground(
     time_s: float,
     interval_s: float,
     weight: tuple[Float[Array, "row column"], ...] | None = None,
+    held: Bool[Array, "coarse_row coarse_column"] | None = None,
 ) -> Ground:
     """Update the map with a frame.
 
@@ -181,6 +182,8 @@ def update_ground(
         Epoch, and time since the frame before. [s]
     weight
         Weight of each reading of each kind; by default it follows from ``masked`` and the residuals. [1]
+    held
+        Coarse cells whose weights do not fall with time; by default none.
     """
     changed = np.zeros(ground.differed_s.shape, np.bool_)
     for z2, at in zip(seen.z2, _places_by_kind(ground, seen.x, seen.y), strict=True):
@@ -220,6 +223,9 @@ def update_ground(
         if renew > 1:
             map_[..., : kernels.TERMS - 1] /= np.float32(renew)
         kernels.update_map(map_, seen.readings[k], share, *at, metric, reach, gain)
+        if held is not None:
+            fine = held.repeat(COARSE, axis=0).repeat(COARSE, axis=1)[: map_.shape[0], : map_.shape[1]]
+            map_[fine, : kernels.TERMS - 1] *= np.float32(math.exp(interval_s / MEMORY_S))
         return map_, scale
 
     maps, scales = zip(*map_threads(one, range(len(ground.places))), strict=True)
