@@ -30,7 +30,7 @@ def test_a_vehicle_that_stops_is_measured_and_stands():
     told = reports(mosaic_flight.frames(frames, travel=travel))
     ids, speeds_m_s, statuses = {}, {}, set()
     for k, one in enumerate(told):
-        apart = np.hypot(one["east_m"] + 25.0 - travel(0.5 * k), one["north_m"] - 5.0).values
+        apart = np.hypot(one["east_m"].values + 25.0 - travel(0.5 * k), one["north_m"].values - 5.0)
         if len(apart) and apart.min() < 4.0:
             ids[0.5 * k] = int(one["track"][apart.argmin()])
             own = one.isel(track=apart.argmin())

@@ -165,7 +165,10 @@ class MosaicDetector:
         grid = grid_of(frame, None)
         ground = empty_ground(grid, select_elements(mosaic.layout, frame.channel), side)
         restless, masked = (np.zeros(n, np.float32) for n in (_window_grid(grid)[1], ground.differed_s.shape))
-        return MosaicMemory(grid, mosaic.layout, ground, restless, masked, masked, frame_binning(frame))
+        factor = frame_binning(frame)
+        return MosaicMemory(
+            grid, mosaic.layout, ground, restless=restless, masked=masked, held=masked, factor=factor
+        )
 
     def detect(self, state: MosaicMemory, frame: Frame) -> Detections:
         """Detect windows of a vehicle's size that differ from the ground map, along a straight motion.
