@@ -9,7 +9,7 @@ from glintrack.track.design import DetectDesign
 from glintrack.track.detect import mosaic_model as model
 from glintrack.track.detect.detections import Association
 from glintrack.track.detect.mosaic import MosaicDetector
-from glintrack.track.detect.standing import hold_share, is_occupied, standing_ratio
+from glintrack.track.detect.standing import hold_share, is_occupied, select_standing, standing_ratio
 from tests.track.detect import mosaic_flight as flight
 
 DETECTOR = MosaicDetector(DetectDesign())
@@ -89,10 +89,22 @@ def test_a_wide_change_of_brightness_and_missing_readings_occupy_nothing():
 def test_strength_counts_at_occupied_places_and_nothing_at_empty_ones():
     place = np.array([[0.0, 0.0], [50.0, 0.0], [100.0, 0.0]])
     before = np.array([-2.0, 5.0, -2.0])
-    after = standing_ratio(before, np.full(3, 1.0), place, place[:2] + 0.5, np.array([True, False]))
+    slow = place[:2] + 0.5, np.array([True, False])
+    after, by_motion = standing_ratio(before, np.full(3, 1.0), place, *slow)
     assert after[0] > 2 and after[1] == 0 and after[2] == before[2]
+    np.testing.assert_array_equal(by_motion, [-2.0, 0.0, -2.0])
     nowhere = np.empty((0, 2))
-    assert standing_ratio(before, before, place, nowhere, np.empty(0, bool)) is before
+    assert standing_ratio(before, before, place, nowhere, np.empty(0, bool))[0] is before
+
+
+def test_the_likeliest_peak_of_each_occupied_place_without_one_is_selected():
+    ratio = np.array([3.0, 4.0, 5.0, 0.5])
+    place = np.array([[0.0, 0.0], [1.0, 0.0], [40.0, 0.0], [80.0, 0.0]])
+    occupied = np.array([[0.5, 0.5], [40.5, 0.0], [80.0, 0.0], [200.0, 0.0]])
+    none, third = np.empty(0, int), np.array([2])
+    np.testing.assert_array_equal(select_standing(ratio, place, occupied, none), [1, 2])
+    np.testing.assert_array_equal(select_standing(ratio, place, occupied, third), [1])
+    assert len(select_standing(ratio[:0], place[:0], occupied, none)) == 0
 
 
 def test_held_ground_keeps_its_weight_and_other_ground_loses_it():

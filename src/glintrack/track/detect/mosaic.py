@@ -46,7 +46,7 @@ from glintrack.track.detect.mosaic_peaks import (
     select_peaks,
 )
 from glintrack.track.detect.mosaic_windows import evidence_on_ground, window_features
-from glintrack.track.detect.standing import hold_share, is_occupied, standing_ratio
+from glintrack.track.detect.standing import hold_share, is_occupied, select_standing, standing_ratio
 
 CELL_M = 0.75
 EXTENT_M = 3.9  # diameter of a detection
@@ -123,6 +123,8 @@ class SearchedMosaic:
     place_m, ratio
         Position of each peak on the ground, by the poses reported in the last seconds, and its log-likelihood
         ratio. [m, nat]
+    moving_ratio
+        The same by motion alone. [nat]
     occupied_m
         Places of slow tracks at which there is a vehicle. [m]
     """
@@ -132,6 +134,7 @@ class SearchedMosaic:
     peaks: Peaks
     place_m: Float[Array, "peak 2"]
     ratio: Float[Array, "peak"]
+    moving_ratio: Float[Array, "peak"]
     occupied_m: Float[Array, "slow 2"]
 
 
@@ -200,8 +203,8 @@ class MosaicDetector:
         above = known[known > usual]
         spread = float(np.median(above)) - usual if len(above) else 0.0
         if state.frames < WARM_UP or frame.time_s - (ground.first_s or 0.0) < WARM_UP_S:
-            nowhere = np.empty((0, 2))
-            nothing = SearchedMosaic(seen, strength, no_peaks(channel), nowhere, np.empty(0), nowhere)
+            nowhere, never = np.empty((0, 2)), np.empty(0)
+            nothing = SearchedMosaic(seen, strength, no_peaks(channel), nowhere, never, never, nowhere)
             return replace(no_detections(), log_likelihood_ratio=np.empty(0), detail=nothing)
         layers = _supporting_layers(state.layers, frame.time_s)
         strengths, times_s = zip(*((layer.strength, layer.time_s) for layer in layers), strict=True)
@@ -212,13 +215,13 @@ class MosaicDetector:
             signed = window_features(found.cells, change, seen, (offsets, ground.side, CELL_M), element)
             found = replace(found, features=np.hstack([found.features, signed]))
         place_m = np.array(corner) + CELL_M * found.place[:, ::-1] * (1, -1) - np.array(ground.shift_m)
-        ratio = log_likelihood_ratio(channel, found.features)
+        moving_ratio = log_likelihood_ratio(channel, found.features)
         slow_m = frame.slow_m - _toward_camera(frame, frame.slow_m)
         kinds = ground.places, ground.side, seen.readings
         occupied = is_occupied(slow_m + np.array(ground.shift_m), corner, CELL_M, element, kinds)
-        ratio = standing_ratio(ratio, found.features[:, 1], place_m, slow_m, occupied)
+        ratio, moving_ratio = standing_ratio(moving_ratio, found.features[:, 1], place_m, slow_m, occupied)
         east_m, north_m = (mean - now for mean, now in zip(ground.shift_m, seen.moved_m, strict=True))
-        searched = SearchedMosaic(seen, strength, found, place_m, ratio, slow_m[occupied])
+        searched = SearchedMosaic(seen, strength, found, place_m, ratio, moving_ratio, slow_m[occupied])
         detections = _detections(searched, frame, (east_m, north_m))
         return replace(detections, velocity_most_m_s=speed_m_s)
 
@@ -352,7 +355,9 @@ def _add_frame(
 
 def _detections(searched: SearchedMosaic, frame: Frame, displacement_m: tuple[float, float]) -> Detections:
     """Likely peaks by falling ratio, moved back by a vehicle's height along the line of sight."""
-    likely = select_peaks(searched.place_m, searched.peaks.velocity, searched.ratio, frame.channel)
+    by_motion = select_peaks(searched.place_m, searched.peaks.velocity, searched.moving_ratio, frame.channel)
+    standing = select_standing(searched.ratio, searched.place_m, searched.occupied_m, by_motion)
+    likely = np.concatenate([by_motion, standing])
     position, ratio = searched.place_m[likely], searched.ratio[likely]
     known = read_calibration("mosaic").constants["place"][frame.channel]
     slope = _slope(frame, position)

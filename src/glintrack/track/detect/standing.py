@@ -11,13 +11,13 @@ The constants in ``data/calibration/mosaic.toml`` were chosen by hand on three f
 import math
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import convolve
 from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
 from glintrack.track.calibration import read_calibration
-from glintrack.track.detect.mosaic_peaks import MAX_RATIO
+from glintrack.track.detect.mosaic_peaks import MAX_RATIO, MIN_RATIO
 
 DISC_M = 1.3  # radius of a disc inside a car
 RING_M = 2.4, 4.7  # radii of the ring around a car
@@ -74,7 +74,7 @@ def standing_ratio(
     place_m: Float[Array, "peak 2"],
     slow_m: Float[Array, "slow 2"],
     occupied: Bool[Array, "slow"],
-) -> Float[Array, "peak"]:
+) -> tuple[Float[Array, "peak"], Float[Array, "peak"]]:
     """Log-likelihood ratio of vehicle against clutter, where slow vehicles are expected. [nat]
 
     Elsewhere a vehicle is known by its motion. At an occupied place its strength is enough; at an empty one
@@ -86,15 +86,46 @@ def standing_ratio(
         Log-likelihood ratio of each peak by its motion [nat], its strength [1] and its place [m].
     slow_m, occupied
         Places of slow tracks [m], and the mask of the occupied ones.
+
+    Returns
+    -------
+    The ratio, and that by motion alone.
     """
     if len(slow_m) == 0 or len(ratio) == 0:
-        return ratio
+        return ratio, ratio
     known = _constants()
     to_vehicle, to_empty = (_distance(place_m, slow_m[which]) for which in (occupied, ~occupied))
     by_strength = np.minimum(known["intercept"] + known["root_strength"] * np.sqrt(strength), MAX_RATIO)
-    ratio = np.where(to_vehicle <= known["vehicle_m"], np.maximum(ratio, by_strength), ratio)
     hole = (to_empty <= known["hole_m"]) & (to_empty < to_vehicle)
-    return np.where(hole, np.minimum(ratio, 0.0), ratio)
+    by_motion = np.where(hole, np.minimum(ratio, 0.0), ratio)
+    near = to_vehicle <= known["vehicle_m"]
+    return np.where(near, np.maximum(by_motion, by_strength), by_motion), by_motion
+
+
+def select_standing(
+    ratio: Float[Array, "peak"],
+    place_m: Float[Array, "peak 2"],
+    occupied_m: Float[Array, "place 2"],
+    selected: Int[Array, "selected"],
+) -> Int[Array, "standing"]:
+    """Select the likeliest peak of each occupied place that has none selected yet.
+
+    Parameters
+    ----------
+    ratio, place_m
+        Log-likelihood ratio of each peak [nat], and its place [m].
+    occupied_m
+        Occupied places of slow tracks. [m]
+    selected
+        Index of the peaks that are selected by their motion.
+    """
+    reach_m = _constants()["vehicle_m"]
+    free = occupied_m[_distance(occupied_m, place_m[selected]) > reach_m]
+    if len(free) == 0 or len(place_m) == 0:
+        return np.empty(0, int)
+    around = [np.array(one, int) for one in KDTree(place_m).query_ball_point(free, reach_m)]
+    best = [one[ratio[one].argmax()] for one in around if len(one)]
+    return np.unique(np.array([k for k in best if ratio[k] > MIN_RATIO], int))
 
 
 def hold_share(interval_s: float) -> tuple[float, float]:
