@@ -204,7 +204,10 @@ class MosaicDetector:
         spread = float(np.median(above)) - usual if len(above) else 0.0
         if state.frames < WARM_UP or frame.time_s - (ground.first_s or 0.0) < WARM_UP_S:
             nowhere, never = np.empty((0, 2)), np.empty(0)
-            nothing = SearchedMosaic(seen, strength, no_peaks(channel), nowhere, never, never, nowhere)
+            nothing = SearchedMosaic(
+                seen, strength, no_peaks(channel), place_m=nowhere, ratio=never, moving_ratio=never,
+                occupied_m=nowhere,
+            )  # fmt: skip
             return replace(no_detections(), log_likelihood_ratio=np.empty(0), detail=nothing)
         layers = _supporting_layers(state.layers, frame.time_s)
         strengths, times_s = zip(*((layer.strength, layer.time_s) for layer in layers), strict=True)
@@ -221,7 +224,10 @@ class MosaicDetector:
         occupied = is_occupied(slow_m + np.array(ground.shift_m), corner, CELL_M, element, kinds)
         ratio, moving_ratio = standing_ratio(moving_ratio, found.features[:, 1], place_m, slow_m, occupied)
         east_m, north_m = (mean - now for mean, now in zip(ground.shift_m, seen.moved_m, strict=True))
-        searched = SearchedMosaic(seen, strength, found, place_m, ratio, moving_ratio, slow_m[occupied])
+        searched = SearchedMosaic(
+            seen, strength, found, place_m=place_m, ratio=ratio, moving_ratio=moving_ratio,
+            occupied_m=slow_m[occupied],
+        )  # fmt: skip
         detections = _detections(searched, frame, (east_m, north_m))
         return replace(detections, velocity_most_m_s=speed_m_s)
 
