@@ -2,7 +2,8 @@
 0. Fly, change one key, compare
 ===============================
 
-Does a finer pitch hold more vehicles? Twelve frames of the city (reduced: of its middle) at two pitches.
+Does a finer pitch hold more vehicles? Twelve frames of the city at two pitches. The reduced size
+is the middle of the city.
 """
 
 import os

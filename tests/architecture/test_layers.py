@@ -28,7 +28,7 @@ ALLOWED = {
     "results": FILES | STAGES | {"case"},
     "loop": VOCABULARY | STAGES | {"case", "results"},
     "results.run": FILES | STAGES | {"bounds", "case", "loop"},
-    "study": FILES | STAGES - {"track", "ortho", "devices"} | {"bounds", "case", "loop"},
+    "study": FILES | STAGES - {"scene", "track", "ortho", "devices"} | {"bounds", "case", "loop"},
     "dataset": FILES | STAGES | {"case", "results", "loop"},
     "report": FILES | {"bounds", "case", "results", "metrics", "study"},
     "cli": FILES | STAGES | {"bounds", "case", "dataset", "loop", "report", "results", "study"},

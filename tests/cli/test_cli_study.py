@@ -67,11 +67,11 @@ def test_a_dry_run_writes_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "said"), [("1", "72 (72 designs)"), ("2", "144 (72 designs × 2 replicates)")]
+    ("given", "expected"), [("1", "72 (72 designs)"), ("2", "144 (72 designs × 2 replicates)")]
 )
-def test_a_dry_run_counts_the_replicates_asked_for(given, said, tmp_path):
-    told = invoke("ranks", "--replicates", given, "--dry-run", "-o", tmp_path / "out")
-    assert told.exit_code == 0 and said in told.output
+def test_a_dry_run_counts_the_replicates_asked_for(given, expected, tmp_path):
+    done = invoke("ranks", "--replicates", given, "--dry-run", "-o", tmp_path / "out")
+    assert done.exit_code == 0 and expected in done.output
 
 
 def test_failed_cases_are_told_and_the_exit_code_says_so(tmp_path, cheap_cases):

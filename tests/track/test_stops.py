@@ -28,18 +28,16 @@ def reports(frames):
 def test_a_vehicle_that_stops_is_measured_and_stands():
     frames = round(2 * (STOP_S + STAND_S))
     told = reports(mosaic_flight.frames(frames, travel=travel))
-    ids, speeds_m_s, statuses = {}, {}, set()
+    ids, speeds_m_s = {}, {}
     for k, one in enumerate(told):
         apart = np.hypot(one["east_m"].values + 25.0 - travel(0.5 * k), one["north_m"].values - 5.0)
         if len(apart) and apart.min() < 4.0:
             ids[0.5 * k] = int(one["track"][apart.argmin()])
             own = one.isel(track=apart.argmin())
             speeds_m_s[0.5 * k] = float(np.hypot(own["east_speed_m_s"], own["north_speed_m_s"]))
-            statuses.add(str(own["status"].values))
     standing = np.arange(np.ceil(2 * STOP_S) / 2, 0.5 * frames, 0.5)
     same = [ids.get(t) == ids[START_S] for t in standing]
     assert np.mean(same) > 0.8
-    assert statuses <= {"measured", "coasted", "stopped"}
     assert np.median([speeds_m_s[t] for t in standing[4:] if t in speeds_m_s]) < 0.5
 
 

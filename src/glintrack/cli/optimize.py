@@ -48,7 +48,7 @@ def optimize(
     with studies.open_pool(scheduler, workers, in_process, memory) as pool:
         runner = search.StudyRunner(setup, folder, pool, cache or cache_folder("hits"))
         runner.announce = lambda designs, cities, duration_s: console.print(
-            f"simulating {designs} × {cities} (designs × cities), {duration_s:g} s each"
+            f"simulations: {designs} (designs) × {cities} (cities) of {duration_s:g} s"
         )
         runner.callback = lambda event: _print_failure(console, event)
         with folder.open(runner.plan()):

@@ -233,8 +233,8 @@ def _measure_detections(sequence: LabelledSequence, detected: Matches, area: str
     for text, is_dark in (("dark", True), ("bright", False)):
         part = labels.take(np.flatnonzero(labels["is_dark"] == is_dark))
         yield _share(f"{name}, {text} ground", part, "found")
-        if not is_dark:
-            yield _share("bright vehicles among labels on bright ground", part, "is_bright")
+    on_bright = labels.take(np.flatnonzero(~labels["is_dark"]))
+    yield _share("bright vehicles among labels on bright ground", on_bright, "is_bright")
     seen = (sequence.areas[area] & np.isfinite(sequence.frames[2:])).sum(axis=0)
     yield _density("false detections in a frame", sequence, detected.false, seen)
 

@@ -58,7 +58,8 @@ class SceneDesign(Design):
     triangles of a user. SUMO (extra `traffic`) simulates the traffic of all but the first and the last,
     unless a traffic file is given."""
     seed: int = Field(default=1, ge=0, le=2**63 - 1)
-    """Seed of roofs, trees, parked vehicles and paints; not of the traffic."""
+    """Seed of roofs, trees, parked vehicles and paints, and of traffic that SUMO simulates. Recorded traffic
+    does not depend on it."""
     trees: float = Field(default=1.0, ge=0, le=1)
     """Share of the city's trees that are planted. `true` is all, `false` none."""
     width_m: float | None = Field(default=None, ge=50, le=LARGEST_SIDE_M)
@@ -170,6 +171,11 @@ class SceneDesign(Design):
         longer = self.traffic_duration_s > SHIPPED_DURATION_S
         simulated = longer or self.traffic_insertion_period_s is not None
         return self.size_m == DEFAULT_SIZE_M and not (self.traffic_file is None and simulated)
+
+    @property
+    def uses_recorded_traffic(self) -> bool:
+        """Return True if the traffic does not depend on the seed: a file, or the shipped recording."""
+        return bool(self.traffic_file) or (self.city == "embedded" and self.uses_shipped_traffic)
 
     @property
     def recording_duration_s(self) -> float:

@@ -149,8 +149,7 @@ def existence_features(
     - 1 for a track that stands after a drive (`is_stopped`): misses are no evidence against it.
     """
     speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
-    travel_m = np.hypot(*(targets.position - targets.first_position).T)
-    deficit_m_s = np.maximum(MIN_SPEED_M_S - travel_m / np.maximum(targets.age_s, 1.0), 0.0)
+    deficit_m_s = np.maximum(MIN_SPEED_M_S - targets.travel_m / np.maximum(targets.age_s, 1.0), 0.0)
     age, recent_ratio = np.minimum(targets.age_s, MAX_AGE_S), targets.recent_ratio
     co_moving, near, count = _neighbours(targets, primary)
     queue = np.minimum(count / QUEUE, 1.0)

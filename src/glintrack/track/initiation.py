@@ -59,7 +59,8 @@ class Targets:
     quality
         Share of the coasting time that is left: 1 after a long time of measurements, 0 at deletion. [1]
     recent_ratio
-        Recent mean of its detections' log-likelihood ratios; frames without one count as `MISSED_NAT`. [nat]
+        Recent mean of its detections' log-likelihood ratios; frames without one count as `MISSED_NAT`. It
+        stays as it is while the target stands. [nat]
     """
 
     id: Int[Array, "target"]
@@ -89,6 +90,11 @@ class Targets:
     def position(self) -> Float[Array, "target 2"]:
         """East and north. [m]"""
         return self.mean[:, :2]
+
+    @property
+    def travel_m(self) -> Float[Array, "target"]:
+        """Distance from the first position. [m]"""
+        return np.hypot(*(self.position - self.first_position).T)
 
     @property
     def modes(self) -> Modes:
@@ -173,7 +179,7 @@ def update_status(
         & (np.bitwise_count(history) >= hits)
         & (age_s >= rules.confirm_min_age_s - _ROUNDING)
         & (targets.score >= design.initiation.confirm_score)
-        & (np.hypot(*(targets.position - targets.first_position).T) >= rules.confirm_travel_m)
+        & (targets.travel_m >= rules.confirm_travel_m)
         & (speed >= rules.confirm_speed_m_s)
     )
     stands = standing_probability(targets, seen.motion.stopped)
@@ -213,15 +219,17 @@ def standing_probability(targets: Targets, stopped: int) -> Float[Array, "target
 def is_stopped(targets: Targets) -> Bool[Array, "target"]:
     """Return True for vehicles that probably stand after a drive."""
     stopped = targets.mode_probability.shape[1] - 1 or -1
-    travel_m = np.hypot(*(targets.position - targets.first_position).T)
-    return (standing_probability(targets, stopped) > 0.5) & (travel_m >= STOPPED_TRAVEL_M) & targets.confirmed
+    return (standing_probability(targets, stopped) > 0.5) & _has_driven(targets)
 
 
 def is_slow(targets: Targets) -> Bool[Array, "target"]:
     """Return True for vehicles that are slow, or stand, after a drive."""
-    travel_m = np.hypot(*(targets.position - targets.first_position).T)
-    slow = np.hypot(*targets.mean[:, 2:].T) < SLOW_SPEED_M_S
-    return slow & (travel_m >= STOPPED_TRAVEL_M) & targets.confirmed
+    return (np.hypot(*targets.mean[:, 2:].T) < SLOW_SPEED_M_S) & _has_driven(targets)
+
+
+def _has_driven(targets: Targets) -> Bool[Array, "target"]:
+    """Return True for confirmed targets that are far enough from their first position to be vehicles."""
+    return (targets.travel_m >= STOPPED_TRAVEL_M) & targets.confirmed
 
 
 def select_unassigned(

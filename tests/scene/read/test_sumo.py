@@ -2,6 +2,7 @@
 
 import importlib.util
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,3 +103,20 @@ def test_vehicle_types_hold_the_models_dimensions():
     text = vehicle_types_xml()
     assert 'id="car" vClass="passenger" length="4.5" width="1.8" height="1.5"' in text
     assert text.count("<vType id") == 5
+
+
+@pytest.mark.parametrize(("seed", "given"), [(42, 42), (2**31 - 1, 2**31 - 1), (2**31 + 7, 7), (2**63, 0)])
+def test_sumo_gets_a_seed_of_31_bits(seed, given, run, monkeypatch, tmp_path):
+    words = []
+
+    def call(home, folder, command):
+        words.extend(command)
+        if Path(command[0]).name == "sumo":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(sumo, "sumo_home", lambda: tmp_path)
+    monkeypatch.setattr(sumo, "call_sumo", call)
+    with pytest.raises(KeyboardInterrupt):
+        sumo.simulate_traffic(replace(run, seed=seed))
+    seeds = [int(words[k + 1]) for k, word in enumerate(words) if word == "--seed"]
+    assert seeds == [given, given]  # of the trips, and of the drivers

@@ -8,8 +8,8 @@ import pytest
 from glintrack.track.design import DetectDesign
 from glintrack.track.detect import mosaic_model as model
 from glintrack.track.detect.detections import Association
-from glintrack.track.detect.mosaic import MosaicDetector
-from glintrack.track.detect.standing import hold_share, is_occupied, select_standing, standing_ratio
+from glintrack.track.detect.mosaic import FULL_SHARE, MosaicDetector, _follow
+from glintrack.track.detect.standing import hold_s, is_occupied, select_standing, standing_ratio
 from tests.track.detect import mosaic_flight as flight
 
 DETECTOR = MosaicDetector(DetectDesign())
@@ -82,6 +82,8 @@ def test_a_wide_change_of_brightness_and_missing_readings_occupy_nothing():
     element, kinds = grid_of_light(light)
     places = np.array([[18 * 0.75, -20 * 0.75], [30 * 0.75, -20 * 0.75]])
     assert not is_occupied(places, (0.0, 0.0), 0.75, element, kinds).any()
+    black, kinds = grid_of_light(np.zeros((40, 40), np.float32))
+    assert not is_occupied(places, (0.0, 0.0), 0.75, black, kinds).any()
     slope, kinds = grid_of_light(np.linspace(900, 1100, 40, dtype=np.float32)[None].repeat(40, axis=0))
     assert not is_occupied(places, (0.0, 0.0), 0.75, slope, kinds).any()
 
@@ -127,9 +129,8 @@ def test_held_ground_keeps_its_weight_and_other_ground_loses_it():
 
 @pytest.mark.parametrize("rate_hz", [1.0, 2.0, 10.0])
 def test_ground_is_held_for_as_long_at_any_rate(rate_hz):
-    gain, longest = hold_share(1 / rate_hz)
-    share, frames = 0.0, 0
-    while share < longest - 1e-9:
-        share += gain * (1 - share)
+    share, frames = np.zeros(1), 0
+    while share[0] < FULL_SHARE - 1e-6:
+        share = _follow(share, np.ones(1), 1 / rate_hz, hold_s())
         frames += 1
     assert frames / rate_hz == pytest.approx(8.0)

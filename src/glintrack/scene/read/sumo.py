@@ -223,7 +223,8 @@ def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
 _DEBIAN_PACKAGES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
 # model, vClass and share in the traffic
 Mix = tuple[tuple[str, str, float], ...]
-TRIPS_SEED = 41  # to which the scene's seed is added
+TRIPS_SEED = 41  # plus the scene's seed: seed 1 has the traffic of the published figures
+_SEEDS = 2**31  # of SUMO
 _DATA = read_data("traffic", "sumo.toml")
 FIRST_MIX, FULL_MIX = (TypeAdapter(Mix).validate_python(mix) for mix in _DATA["mixes"].values())
 NETCONVERT: Mapping[str, tuple[str, ...]] = {k: tuple(v.split()) for k, v in _DATA["netconvert"].items()}
@@ -312,7 +313,7 @@ def load_or_simulate(run: SumoRun) -> Recording:
 
 def simulate_traffic(run: SumoRun) -> Recording:
     """Build the network, draw trips, run SUMO and read its output, in ENU about ``run.origin_m``."""
-    home = sumo_home()
+    home, seed = sumo_home(), run.seed % _SEEDS
     end_s = run.warmup_s + run.duration_s
     with tempfile.TemporaryDirectory(prefix="glintrack-sumo-") as scratch:
         folder = Path(scratch)
@@ -322,7 +323,7 @@ def simulate_traffic(run: SumoRun) -> Recording:
         call_sumo(home, folder, [str(home / "bin" / "netconvert"), *run.netconvert, "-o", "city.net.xml"])
         trips = (
             f"-n city.net.xml -o trips.xml -r routes.xml -b 0 -e {end_s:g} -p {run.insertion_period_s:g} "
-            f"--fringe-factor 5 --min-distance 200 --seed {run.seed} --edge-permission passenger --validate "
+            f"--fringe-factor 5 --min-distance 200 --seed {seed} --edge-permission passenger --validate "
             "--additional-files vtypes.add.xml --trip-attributes"
         )
         attributes = 'type="mix" departLane="best" departSpeed="max"'
@@ -331,7 +332,7 @@ def simulate_traffic(run: SumoRun) -> Recording:
         sumo = (
             f"-n city.net.xml -r routes.xml --end {end_s + 0.1:g} --step-length 0.1 --precision 3 "
             "--lanechange.duration 2.5 --time-to-teleport 300 --fcd-output fcd.csv --device.fcd.period 0.1 "
-            f"--device.fcd.begin {run.warmup_s:g} --no-step-log --seed {run.seed}"
+            f"--device.fcd.begin {run.warmup_s:g} --no-step-log --seed {seed}"
         )
         call_sumo(home, folder, [str(home / "bin" / "sumo"), *sumo.split()])
         with collect_readings():  # files of our own

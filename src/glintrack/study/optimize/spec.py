@@ -18,7 +18,6 @@ from glintrack.core.designs import Design, keys_of, suggest_name, validate_desig
 from glintrack.io.atomic import content_hash
 from glintrack.io.toml import read_toml
 from glintrack.metrics.requirement import Requirement, read_requirement
-from glintrack.scene.design import SceneDesign
 from glintrack.sensor.catalogue import find_item, read_catalogue
 from glintrack.study.design import Axis, Constraints, Level, StudyDesign, build_axes, flat, unit_points
 from glintrack.study.optimize.search import Problem
@@ -147,7 +146,7 @@ class Optimization:
     key
         Hash of all that influences the simulations.
     uses_recorded_traffic
-        Whether all cities have the shipped recording of traffic, or that of a file.
+        Whether all cities have the same recorded traffic.
     cpu_s
         Rough processor time of a simulation. [s]
     """
@@ -235,12 +234,8 @@ def read_optimization(path: str | Path, allow_outside_paths: bool = False) -> Op
         conditions=labels,
         key=content_hash(json.dumps([content, plan.key], sort_keys=True), 20),
         cpu_s=float(np.mean([estimate_cpu_s(case) for case in cases])),
-        uses_recorded_traffic=_uses_recorded_traffic(cases[0].scene),
+        uses_recorded_traffic=cases[0].scene.uses_recorded_traffic,
     )
-
-
-def _uses_recorded_traffic(scene: SceneDesign) -> bool:
-    return bool(scene.traffic_file) or (scene.city == "embedded" and scene.uses_shipped_traffic)
 
 
 def encode(axes: Sequence[Axis], levels: Mapping[str, Level]) -> list[float]:

@@ -46,7 +46,7 @@ from glintrack.track.detect.mosaic_peaks import (
     select_peaks,
 )
 from glintrack.track.detect.mosaic_windows import evidence_on_ground, window_features
-from glintrack.track.detect.standing import hold_share, is_occupied, select_standing, standing_ratio
+from glintrack.track.detect.standing import hold_s, is_occupied, select_standing, standing_ratio
 
 CELL_M = 0.75
 EXTENT_M = 3.9  # diameter of a detection
@@ -57,6 +57,7 @@ RESTLESS_S, MAX_RESTLESS = 6.0, 2.0
 WARM_UP, WARM_UP_S = LEARNING["mosaic"]  # frames and time before the first detections
 MIN_SHARE = 1e-6  # of confirmation: without it all readings have equal weights
 MASK_RATIO, MASK_REACH_M, MASK_S = 1.5, 3.0, 2.0
+FULL_SHARE = 1 - math.exp(-1)  # that a mask has after its time
 RIGHT_SHARE = 0.7  # share of the best motions that are a vehicle's own
 SPEED_SIGMA_M_S = 2.0  # standard deviation of those
 CORRELATION_S = 0.5  # in which a vehicle shows the same side and covers the same ground, and errors last
@@ -234,17 +235,13 @@ class MosaicDetector:
     def update(
         self, state: MosaicMemory, frame: Frame, detections: Detections, association: Association
     ) -> MosaicMemory:
-        """Update the state with a frame; vehicles are masked, unless they have stood for a long time.
-
-        A mask ends after a short time, and later where a track is slow or stands.
-        """
+        """Update the state with a frame; vehicles are masked for a short time, slow ones for longer."""
         seen: SearchedMosaic = detections.detail
         mask = _mask(state.ground, seen.place_m[seen.ratio > MASK_RATIO] + np.array(state.ground.shift_m))
-        hidden = mask & (state.masked < 1 - math.exp(-1))  # the mask of a place ends after a long time
+        hidden = mask & (state.masked < FULL_SHARE)
         slow = _mask(state.ground, seen.occupied_m + np.array(state.ground.shift_m))
-        gain, longest = hold_share(frame.interval_s)
-        held = state.held + np.float32(gain) * (slow - state.held)
-        keep = slow & (held < longest)
+        held = _follow(state.held, slow, frame.interval_s, hold_s())
+        keep = slow & (held < FULL_SHARE)
         first = state.first
         if first is not None and not (first and frame.time_s - first[-1].time_s < SPACING_S):
             binned = bin_frame(frame, state.factor)
@@ -254,7 +251,7 @@ class MosaicDetector:
         else:
             times_s = frame.time_s, frame.interval_s
             ground = update_ground(state.ground, seen.prediction, hidden | keep, *times_s, held=keep)
-        masked = state.masked + np.float32(-math.expm1(-frame.interval_s / MASK_S)) * (mask - state.masked)
+        masked = _follow(state.masked, mask, frame.interval_s, MASK_S)
         around = maximum_filter(seen.strength, 3)
         past = _supporting_layers(state.layers, frame.time_s)
         oldest_s = past[-1].time_s if len(past) == LAYERS else -math.inf  # older layers support nothing
@@ -262,12 +259,17 @@ class MosaicDetector:
             *(layer for layer in state.layers if layer.time_s >= oldest_s),
             StrengthLayer(frame.time_s, around),
         )
-        share = np.float32(-math.expm1(-frame.interval_s / RESTLESS_S)) if state.frames else np.float32(1.0)
-        restless = state.restless + share * (np.minimum(around, MAX_RESTLESS) - state.restless)
+        interval_s = frame.interval_s if state.frames else math.inf
+        restless = _follow(state.restless, np.minimum(around, MAX_RESTLESS), interval_s, RESTLESS_S)
         return replace(
             state, ground=ground, restless=restless, masked=masked, held=held, layers=layers,
             frames=state.frames + 1, first=first,
         )  # fmt: skip
+
+
+def _follow(mean: Array, now: Array, interval_s: float, time_s: float) -> Array:
+    """Exponential mean over a time, after an interval."""
+    return mean + np.float32(-math.expm1(-interval_s / time_s)) * (now - mean)
 
 
 def _supporting_layers(layers: tuple[StrengthLayer, ...], time_s: float) -> list[StrengthLayer]:

@@ -12,16 +12,16 @@ import math
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import convolve
+from scipy.ndimage import uniform_filter
 from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
 from glintrack.track.calibration import read_calibration
 from glintrack.track.detect.mosaic_peaks import MAX_RATIO, MIN_RATIO
 
-DISC_M = 1.3  # radius of a disc inside a car
+CENTRE_CELLS = 3  # along a square inside a car
 RING_M = 2.4, 4.7  # radii of the ring around a car
-SEARCH_M = 1.5  # from the predicted place of a track to the disc
+SEARCH_M = 1.5  # from the predicted place of a track to the middle of the square
 
 
 def is_occupied(
@@ -51,20 +51,18 @@ def is_occupied(
     on_grid = (i >= 0) & (j >= 0) & (i < rows) & (j < columns)
     i, j = np.clip(i, 0, rows - 1), np.clip(j, 0, columns - 1)
     far_m = np.hypot(dy, dx) * cell_m
-    disc = far_m[reach - 2 : reach + 3, reach - 2 : reach + 3] <= DISC_M
     ring = (far_m >= RING_M[0]) & (far_m <= RING_M[1])
-    contrast = np.zeros(i.shape)
+    contrast, size = np.zeros(i.shape), (1, CENTRE_CELLS, CENTRE_CELLS)
     for (row, column), readings in zip(places, every, strict=True):
         r, c = (element[0][i, j] - row) / side + 0.5, (element[1][i, j] - column) / side + 0.5
         seen = on_grid & (r >= 0) & (c >= 0) & (r < readings.shape[0]) & (c < readings.shape[1])
         now = np.where(seen, readings[np.where(seen, r, 0).astype(int), np.where(seen, c, 0).astype(int)], 0)
         seen &= np.isfinite(now)
-        around = np.ma.median(np.ma.array(now[:, ring], mask=~seen[:, ring]), axis=1).filled(np.inf)
-        weight = convolve(seen.astype(float), disc[None].astype(float))
-        inside = convolve(np.where(seen, now, 0.0), disc[None].astype(float)) / np.maximum(weight, 1.0)
-        known = (weight > 0) & np.isfinite(around)[:, None, None]
-        relative = np.abs(inside / around[:, None, None] - 1)
-        contrast += np.where(known, relative, 0.0) / len(every)
+        around = np.ma.median(np.ma.array(now[:, ring], mask=~seen[:, ring]), axis=1).filled(0)[:, None, None]
+        share = uniform_filter(seen.astype(float), size)
+        known = (share > 0.01) & (around > 0)  # light is known on both sides, and there is some
+        inside = uniform_filter(np.where(seen, now, 0.0), size) / np.where(known, share, 1)
+        contrast += np.where(known, np.abs(inside / np.where(known, around, 1) - 1), 0) / len(every)
     return contrast[:, far_m <= SEARCH_M].max(axis=1) >= _constants()["contrast"]
 
 
@@ -128,12 +126,13 @@ def select_standing(
     return np.unique(np.array([k for k in best if ratio[k] > MIN_RATIO], int))
 
 
-def hold_share(interval_s: float) -> tuple[float, float]:
-    """Gain of a mean over `hold_s` per interval, and its value after that time. [1]"""
-    return -math.expm1(-interval_s / _constants()["hold_s"]), -math.expm1(-1.0)
+def hold_s() -> float:
+    """Longest time for which ground is kept below a vehicle. [s]"""
+    return _constants()["hold_s"]
 
 
 def _constants() -> dict[str, float]:
+    """Constants of the calibration."""
     return read_calibration("mosaic").constants["standing"]
 
 
