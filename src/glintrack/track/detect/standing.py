@@ -52,16 +52,17 @@ def is_occupied(
     i, j = np.clip(i, 0, rows - 1), np.clip(j, 0, columns - 1)
     far_m = np.hypot(dy, dx) * cell_m
     ring = (far_m >= RING_M[0]) & (far_m <= RING_M[1])
-    contrast, size = np.zeros(i.shape), (1, CENTRE_CELLS, CENTRE_CELLS)
+    contrast = np.zeros(i.shape)
     for (row, column), readings in zip(places, every, strict=True):
         r, c = (element[0][i, j] - row) / side + 0.5, (element[1][i, j] - column) / side + 0.5
         seen = on_grid & (r >= 0) & (c >= 0) & (r < readings.shape[0]) & (c < readings.shape[1])
         now = np.where(seen, readings[np.where(seen, r, 0).astype(int), np.where(seen, c, 0).astype(int)], 0)
         seen &= np.isfinite(now)
         around = np.ma.median(np.ma.array(now[:, ring], mask=~seen[:, ring]), axis=1).filled(0)[:, None, None]
-        share = uniform_filter(seen.astype(float), size)
+        share = uniform_filter(seen.astype(float), CENTRE_CELLS, axes=(1, 2))
         known = (share > 0.01) & (around > 0)  # light is known on both sides, and there is some
-        inside = uniform_filter(np.where(seen, now, 0.0), size) / np.where(known, share, 1)
+        light = uniform_filter(np.where(seen, now, 0.0), CENTRE_CELLS, axes=(1, 2))
+        inside = light / np.where(known, share, 1)
         contrast += np.where(known, np.abs(inside / np.where(known, around, 1) - 1), 0) / len(every)
     return contrast[:, far_m <= SEARCH_M].max(axis=1) >= _constants()["contrast"]
 
