@@ -98,14 +98,23 @@ def test_two_tracks_of_a_queue_are_no_duplicates():
     assert not pairs_of(followed([0.0, 3.0, 12.0, 20.0, 30.0]))
 
 
-def test_two_tracks_on_a_busy_lane_are_no_duplicates():
-    pair = placed([(0, 0), (0, 6)])
+def test_two_tracks_on_busy_lanes_are_no_duplicates():
+    pair = placed([(0, 0), (1.8, 6)])  # farther across than two places of one vehicle
     place, velocity = np.zeros((9, 2)), np.tile([0.0, 10.0], (9, 1))
     for count, found in ((existence.PAIR_MAX_VOTES, 1), (9, 0)):
         flow = replace(
             no_flow(), place=place[:count], velocity=velocity[:count], time_s=-3.0 * np.ones(count)
         )
         assert len(existence.update_duplicates(existence.no_duplicates(), pair, flow, 0.0).pair) == found
+
+
+def test_two_tracks_nearer_than_a_driver_follows_are_one_vehicle():
+    def pairs_in_a_lane(*north_m):
+        return pairs_of(placed([(0.0, one) for one in north_m]))
+
+    assert pairs_in_a_lane(0, 8, 30, 50, 70) == [[0, 1]]  # a lorry, and a queue ahead of it
+    assert not pairs_in_a_lane(0, 9, 30, 50, 70)
+    assert not pairs_in_a_lane(0, 8, 16, 24, 70)  # several so near are vehicles
 
 
 def test_a_vehicle_does_not_lower_its_own_odds_by_its_second_track():
@@ -249,8 +258,10 @@ def pairs_of(targets):
 @pytest.mark.parametrize(
     ("apart", "together"),
     [
-        ((0.0, 6.9), True),
-        ((0.0, 7.1), False),
+        ((0.0, 8.4), True),
+        ((0.0, 8.6), False),
+        ((1.6, 6.6), True),
+        ((1.6, 7.0), False),
         ((1.9, 6.5), True),
         ((2.1, 6.5), False),
         ((5.7, 3.9), True),
@@ -279,19 +290,27 @@ def test_pairs_are_those_of_all_pairs_however_the_scene_is_turned():
     speeds = np.hypot(*(velocity[:, None] - velocity).transpose(2, 0, 1))
     alike = ((apart <= existence.QUEUE_M) & (speeds < existence.SAME_SPEED_M_S)).sum(axis=1) - 1
     targets = placed(place, velocity)
-    expected = []
+    together = {}
     for a in range(80):
         for b in range(a + 1, 80):
             r, v = place[b] - place[a], (velocity[a] + velocity[b]) / 2
-            ahead, aside = abs(r @ v) / np.hypot(*v), abs(r[0] * v[1] - r[1] * v[0]) / np.hypot(*v)
-            if (
-                np.hypot(*r) <= existence.PAIR_M
-                and np.hypot(*(velocity[a] - velocity[b])) < existence.PAIR_SPEED_M_S
-                and np.hypot(*v) > existence.PAIR_MIN_SPEED_M_S
-                and min(alike[a], alike[b]) <= existence.PAIR_MAX_ALIKE
-                and (ahead <= existence.PAIR_ALONG_M or aside <= existence.PAIR_ACROSS_M)
-            ):
-                expected.append([a, b])
+            speed = np.hypot(*v)
+            if speeds[a, b] < existence.PAIR_SPEED_M_S and speed > existence.PAIR_MIN_SPEED_M_S:
+                aside = abs(r[0] * v[1] - r[1] * v[0]) / speed
+                together[a, b] = apart[a, b], abs(r @ v) / speed, aside, speed
+    beside = [
+        k for k, (far, _, aside, _) in together.items()
+        if far <= existence.FOLLOWER_M and aside <= existence.BESIDE_M
+    ]  # fmt: skip
+    expected = []
+    for (a, b), (far, ahead, aside, speed) in together.items():
+        two = sum(a in k for k in beside) == sum(b in k for k in beside) == 1
+        near = two and (a, b) in beside and aside <= existence.FOLLOWER_ACROSS_M
+        near &= ahead <= existence.CAR_M + existence.HEADWAY_S * speed
+        alone = min(alike[a], alike[b]) <= existence.PAIR_MAX_ALIKE
+        alone &= far <= existence.PAIR_M
+        if near or (alone and (ahead <= existence.PAIR_ALONG_M or aside <= existence.PAIR_ACROSS_M)):
+            expected.append([a, b])
     assert len(expected) > 15
     assert pairs_of(targets) == expected
     c, s = np.cos(1.0), np.sin(1.0)

@@ -36,13 +36,16 @@ _MAX_NEIGHBOURS = 24
 # Duplicates: chosen on quickstart 11 and 12 and braunschweig 11; three in four such pairs are one vehicle.
 PAIR_M, PAIR_SPEED_M_S, PAIR_MIN_SPEED_M_S = 7.0, 6.0, 6.0
 PAIR_ACROSS_M, PAIR_ALONG_M = 2.0, 4.0  # a pair in line is no farther across, one abreast no farther along
-PAIR_FRAMES, PAIR_END_M = (
-    4,
-    12.0,
-)  # a pair lasts so many frames at most after it was found, and ends beyond that
+PAIR_FRAMES, PAIR_END_M = 4, 12.0  # frames that a pair lasts after it was found, and distance that ends it
 PAIR_MAX_MISSES = 1
 PAIR_MAX_ALIKE = 2  # tracks alike within `QUEUE_M`, with the other of the pair; more are a queue of vehicles
 PAIR_MAX_VOTES = 4  # other vehicles with that velocity on the line of both; more are lanes of vehicles
+
+# Two vehicles in one lane are no closer than a car's length and the way in this time. Two tracks that are
+# have one vehicle, unless a third is in line with one of them within `FOLLOWER_M`: that is a queue.
+# Chosen on one flight each over quickstart, a junction and an arterial road.
+CAR_M, HEADWAY_S = 4.5, 0.4
+FOLLOWER_M, FOLLOWER_ACROSS_M, BESIDE_M = 10.0, 1.5, 2.5
 
 # Beyond this distance from its predicted position half of the tracks found again have changed vehicles
 # (quickstart 11 and braunschweig 11).
@@ -276,20 +279,25 @@ def _find_pairs(targets: Targets, flow: Flow, time_s: float) -> Int[Array, "pair
     present = np.flatnonzero(targets.confirmed & (targets.misses <= PAIR_MAX_MISSES))
     if len(present) < 2:
         return np.empty((0, 2), np.int64)
-    near = KDTree(targets.position[present]).query_pairs(PAIR_M, output_type="ndarray").reshape(-1, 2)
+    near = KDTree(targets.position[present]).query_pairs(FOLLOWER_M, output_type="ndarray").reshape(-1, 2)
     a, b = np.sort(present[near], axis=1).T
-    count = _neighbours(targets, np.arange(len(targets))).count
     velocity = 0.5 * (targets.mean[a, 2:] + targets.mean[b, 2:])
     speed, apart = np.hypot(*velocity.T), targets.position[b] - targets.position[a]
     unit = velocity / np.maximum(speed, 1e-9)[:, None]
     along_m = np.abs((apart * unit).sum(axis=1))
     across_m = np.abs(apart[:, 1] * unit[:, 0] - apart[:, 0] * unit[:, 1])
     alike = np.hypot(*(targets.mean[a, 2:] - targets.mean[b, 2:]).T) < PAIR_SPEED_M_S
-    in_line_or_abreast = (along_m <= PAIR_ALONG_M) | (across_m <= PAIR_ACROSS_M)
+    alike &= speed > PAIR_MIN_SPEED_M_S
+    in_line, in_lane = (alike & (across_m <= most) for most in (PAIR_ACROSS_M, FOLLOWER_ACROSS_M))
+    beside = alike & (across_m <= BESIDE_M)
+    others = np.bincount(np.concatenate([a[beside], b[beside]]), minlength=len(targets))
+    too_close = in_lane & (along_m <= CAR_M + HEADWAY_S * speed) & (others[a] == 1) & (others[b] == 1)
+    count = _neighbours(targets, np.arange(len(targets))).count
     alone = np.minimum(count[a], count[b]) <= PAIR_MAX_ALIKE
     votes = count_votes(flow, targets.position, targets.mean[:, 2:], time_s)
     alone &= np.minimum(votes[a], votes[b]) <= PAIR_MAX_VOTES
-    return np.stack([a, b], axis=-1)[alike & alone & (speed > PAIR_MIN_SPEED_M_S) & in_line_or_abreast]
+    alone &= (np.hypot(*apart.T) <= PAIR_M) & (in_line | (alike & (along_m <= PAIR_ALONG_M)))
+    return np.stack([a, b], axis=-1)[too_close | alone]
 
 
 def reassign_ids(before: Targets, after: Targets, interval_s: float, next_id: int) -> Int[Array, "target"]:

@@ -19,6 +19,7 @@ TENTATIVE_MISSES = 1  # consecutive frames that an unconfirmed track may miss
 STOPPED_SPEED_M_S = 1.5  # a slower track stands, with one mode of motion
 SLOW_SPEED_M_S = 4.0  # a slower vehicle may come to stand
 STOPPED_TRAVEL_M = 15.0  # a track that stands nearer to its first position may be no vehicle
+STOPPED_RATIO = -1.5  # nor may one with a lower mean ratio: a roof or crown in parallax
 RECENT_RATIO_S = 1.2  # time constant of a track's mean likelihood ratio
 MISSED_NAT = -3.0  # likelihood ratio of a frame without a detection
 DUPLICATE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
@@ -228,8 +229,9 @@ def is_slow(targets: Targets) -> Bool[Array, "target"]:
 
 
 def _has_driven(targets: Targets) -> Bool[Array, "target"]:
-    """Return True for confirmed targets that are far enough from their first position to be vehicles."""
-    return (targets.travel_m >= STOPPED_TRAVEL_M) & targets.confirmed
+    """Return True for confirmed targets that look like vehicles, far enough from their first position."""
+    driven = (targets.travel_m >= STOPPED_TRAVEL_M) & (targets.recent_ratio >= STOPPED_RATIO)
+    return driven & targets.confirmed
 
 
 def select_unassigned(
