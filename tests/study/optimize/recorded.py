@@ -1,13 +1,14 @@
-"""Searches on simulated scores: 172 designs, each simulated once for 12 s, are the grid that they replay.
+"""Searches on simulated scores: 300 designs, each simulated once for 12 s, are the grid that they replay.
 
 `docs/findings/optimize_grid.csv` has the scores. To repeat it:
 
     glintrack study docs/findings/optimize_grid.toml
     python -m tests.study.optimize.recorded study-grid docs/findings/optimize_grid.csv
 
-The true score of a design is a quadratic response surface of the simulations, with an effect of each city.
-A simulation of a search draws a recorded city at random, and the residual of one of its recorded designs
-near by. Nothing about the distribution or size of the noise is assumed.
+A quadratic response surface is fitted to the simulations, with an effect of each city. A simulation of a
+search draws a recorded city at random, and the residual of one of its recorded designs near by. Nothing
+about the distribution or size of the noise is assumed. The true score of a design is the mean of all scores
+that can be drawn.
 """
 
 import sys
@@ -79,7 +80,8 @@ class RecordedGrid:
         self.cost, self.seed, self.count = table[COST].to_numpy(), seed, 0
         self.requirements = tuple(read_requirement(text) for text in limits)
         self.fits = [fit_surface(one.score) for one in self.requirements]
-        self.means = np.column_stack([surface for surface, _, _ in self.fits])
+        every = [self._all_scores(design) for design in range(len(self.places))]
+        self.means = np.array([[one.mean() for one in scores] for scores in every])
 
     def problem(self, **more):
         """Problem of the grid, of simulations of one duration."""
@@ -93,23 +95,26 @@ class RecordedGrid:
             [np.argsort(np.where(self.recorded == k, distance, np.inf))[:NEIGHBOURS] for k in cities]
         )
 
+    def _all_scores(self, design):
+        """Scores that a simulation of a design may have, for each requirement: city, neighbour."""
+        near, out = self.near(design), []
+        for requirement, (surface, effects, residuals) in zip(self.requirements, self.fits, strict=True):
+            residual, effect = residuals[near] - residuals[near].mean(), effects[:, None]
+            relative = surface[design] * effect * (1 + residual)
+            is_share = requirement.score in SHARES
+            out.append(surface[design] + effect + residual if is_share else np.maximum(relative, 0.0))
+        return out
+
     def simulate(self, designs, cities, fidelity):
         """Scores of designs in cities."""
         self.count += len(designs) * len(cities)
         out = np.empty((len(designs), len(cities), len(self.fits)))
         for i, design in enumerate(designs):
-            near = self.near(design)
+            every = self._all_scores(design)
             for j, city in enumerate(cities):
-                k = np.random.default_rng((self.seed, city)).integers(len(near))
-                chosen = near[k, np.random.default_rng((self.seed, design, city)).integers(NEIGHBOURS)]
-                for n, (surface, effects, residuals) in enumerate(self.fits):
-                    residual = residuals[chosen] - residuals[near].mean()
-                    is_share = self.requirements[n].score in SHARES
-                    out[i, j, n] = (
-                        surface[design] + effects[k] + residual
-                        if is_share
-                        else max(surface[design] * effects[k] * (1 + residual), 0.0)
-                    )
+                k = np.random.default_rng((self.seed, city)).integers(len(every[0]))
+                n = np.random.default_rng((self.seed, design, city)).integers(NEIGHBOURS)
+                out[i, j] = [scores[k, n] for scores in every]
         return out
 
     @property

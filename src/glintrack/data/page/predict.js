@@ -17,10 +17,10 @@ const predict = (() => {
     const at = [...places, 0]; // at the full duration
     const cross = p.inputs.map((row) => {
       const r = Math.sqrt(5) * Math.hypot(...row.map((value, k) => (value - at[k]) / p.lengths[k]));
-      return p.signal_variance * (1 + r + (r * r) / 3) * Math.exp(-r);
+      return p.mean_variance + p.signal_variance * (1 + r + (r * r) / 3) * Math.exp(-r);
     });
     const middle = p.mean + dot(cross, p.weights);
-    const variance = p.signal_variance - dot(cross, p.inverse.map((row) => dot(row, cross)));
+    const variance = p.mean_variance + p.signal_variance - dot(cross, p.inverse.map((row) => dot(row, cross)));
     const reach = data.deviate * Math.sqrt(Math.max(variance, 0));
     return [middle, middle - reach, middle + reach].map(p.logarithmic ? Math.expm1 : (value) => value);
   }

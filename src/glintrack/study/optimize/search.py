@@ -78,8 +78,11 @@ class Problem:
         return min(2 * self.places.shape[1] + 2, len(self.cost))
 
     @property
-    def trial_probability(self) -> float:
-        """Probability from which a design is worth one of the last two confirmations."""
+    def sure_probability(self) -> float:
+        """Probability from which a design is confirmed, and is worth one of the last two confirmations.
+
+        It is above that asked for, because several designs are tried and the luckiest passes.
+        """
         return (1 + self.probability) / 2
 
 
@@ -190,7 +193,7 @@ def _confirm(problem: Problem, state: "_State") -> Outcome:
         confirmed[design], first = cities, first + problem.confirming_cities
         state.run([design], cities, 0)
         now = state.outcome()
-        passed = [design for design in confirmed if now.feasibility[design] >= problem.probability]
+        passed = [design for design in confirmed if now.feasibility[design] >= problem.sure_probability]
     if not passed:
         return replace(now, confirming=confirmed.get(now.design, ()))
     cheapest = min(passed, key=lambda design: problem.cost[design])
@@ -204,7 +207,7 @@ def _next_confirmation(
     probable = now.feasibility.copy()
     probable[tried] = -1.0
     probable[problem.cost >= best] = -1.0
-    for limit in (problem.trial_probability,) if is_late else (BOLD, problem.trial_probability):
+    for limit in (problem.sure_probability,) if is_late else (BOLD, problem.sure_probability):
         if (probable >= limit).any():
             return int(np.where(probable >= limit, problem.cost, math.inf).argmin())
     return None if math.isfinite(best) or probable.max() < 0 else int(probable.argmax())
@@ -213,7 +216,7 @@ def _next_confirmation(
 def can_save(problem: Problem, now: Outcome) -> bool:
     """Return False if a design is promising, and none that may meet the requirements is much cheaper."""
     probable, cost = now.feasibility, problem.cost
-    if probable[now.design] < problem.trial_probability:
+    if probable[now.design] < problem.sure_probability:
         return True
     saving = cost[now.design] - cost[probable >= LADDER[0]].min()
     return saving >= MIN_SAVING * max(abs(cost[now.design]), float(np.ptp(cost)))
@@ -316,7 +319,7 @@ class _State:
             process = fit_gaussian_process(at, seen.city[there], halvings, scores[there])
             processes.append(process if requirement.score in SHARES else _mean_of_logarithms(process))
         probable = feasibility(problem.requirements, processes, problem.places).prod(axis=1)
-        promising = probable >= problem.trial_probability
+        promising = probable >= problem.sure_probability
         if promising.any():
             design = int(np.where(promising, problem.cost, math.inf).argmin())
         else:

@@ -5,14 +5,15 @@ The score of design x in city c with duration t is
 y = μ + g(x, t) + u(c) + e,
 
 with a Matérn 5/2 covariance of g, one variance for the effects u of cities, and noise e with a variance
-inversely proportional to the duration, as that of a mean over time. Its hyperparameters maximize the
-marginal likelihood (scikit-learn). `predict` gives the posterior of μ + g at the full duration: the mean
+inversely proportional to the duration, as that of a mean over time. μ has a wide normal distribution: the
+level is as uncertain as a mean over the few cities. The hyperparameters maximize the marginal likelihood
+(scikit-learn). `predict` gives the posterior of μ + g at the full duration: the mean
 over all cities.
 
 References
 ----------
-Rasmussen and Williams, Gaussian Processes for Machine Learning (MIT Press, 2006), Eqs. (2.25), (2.26) and
-(5.8).
+Rasmussen and Williams, Gaussian Processes for Machine Learning (MIT Press, 2006), Eqs. (2.25), (2.26),
+(2.40) and (5.8).
 """
 
 import math
@@ -29,6 +30,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.installation import require_extra
 
 _ANY = 1e6  # length scale of a coordinate without effect
+_MEAN = 100.0  # variance of μ before the first score, over that of the scores
 _LENGTHS = (0.15, 20.0)  # in ranges of an axis
 _DURATION_LENGTHS = (1.0, 50.0)  # in halvings of the duration
 _SIGNAL, _CITY, _NOISE = (0.03, 30.0), (0.02, 5.0), (0.01, 5.0)  # over the variance of the scores
@@ -44,10 +46,11 @@ class GaussianProcess:
         Places of the designs, and as last column the halvings of the duration: 0 for the full one.
     lengths
         Length scale of each column.
-    signal_variance
-        Variance of g.
+    signal_variance, mean_variance
+        Variances of g and of μ.
     mean
-        μ, the mean of the scores; of logarithms with half their variance, for the logarithm of the mean.
+        Mean of the scores, about which μ varies; of logarithms with half their variance, for the logarithm of
+        the mean.
     weights, inverse
         K⁻¹(y − μ), and K⁻¹, with the covariance K of the scores.
     city_sd, noise_sd
@@ -57,6 +60,7 @@ class GaussianProcess:
     inputs: Float[Array, "n column"]
     lengths: Float[Array, "column"]
     signal_variance: float
+    mean_variance: float
     mean: float
     weights: Float[Array, "n"]
     inverse: Float[Array, "n n"]
@@ -66,8 +70,9 @@ class GaussianProcess:
     def predict(self, places: Float[Array, "m axis"]) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
         """Posterior mean and standard deviation of the score's mean over cities at the full duration."""
         at = np.column_stack([places, np.zeros(len(places))])
-        cross = self.signal_variance * matern(cdist(at / self.lengths, self.inputs / self.lengths))
-        variance = self.signal_variance - np.einsum("mi,ij,mj->m", cross, self.inverse, cross)
+        alike = matern(cdist(at / self.lengths, self.inputs / self.lengths))
+        cross = self.mean_variance + self.signal_variance * alike
+        variance = self.mean_variance + self.signal_variance - np.einsum("mi,ij,mj->m", cross, self.inverse, cross)
         return self.mean + cross @ self.weights, np.sqrt(np.maximum(variance, 0.0))
 
     def to_values(self) -> dict[str, Any]:
@@ -119,6 +124,7 @@ def fit_gaussian_process(
         kernels.ConstantKernel(1.0, _SIGNAL) * of_design
         + kernels.ConstantKernel(0.2, _CITY) * of_city
         + _duration_noise(kernels)(0.2, _NOISE)
+        + kernels.ConstantKernel(_MEAN, "fixed")
     )
     columns = np.column_stack([places, halvings, cities]).astype(float)
     with warnings.catch_warnings():
@@ -128,13 +134,14 @@ def fit_gaussian_process(
     inverse = linalg.cho_solve((fitted.L_, True), np.eye(count)) / scale**2
     return GaussianProcess(
         inputs=columns[:, :-1],
-        lengths=np.array(found["k1__k1__k2__length_scale"][:-1], float),
-        signal_variance=scale**2 * found["k1__k1__k1__constant_value"],
+        lengths=np.array(found["k1__k1__k1__k2__length_scale"][:-1], float),
+        signal_variance=scale**2 * found["k1__k1__k1__k1__constant_value"],
+        mean_variance=scale**2 * _MEAN,
         mean=mean,
         weights=inverse @ (scores - mean),
         inverse=inverse,
-        city_sd=scale * math.sqrt(found["k1__k2__k1__constant_value"]),
-        noise_sd=scale * math.sqrt(found["k2__noise_level"]),
+        city_sd=scale * math.sqrt(found["k1__k1__k2__k1__constant_value"]),
+        noise_sd=scale * math.sqrt(found["k1__k2__noise_level"]),
     )
 
 
