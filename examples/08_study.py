@@ -39,8 +39,8 @@ design = "one-at-a-time"      # each row by itself, from the first values
 
 [base]
 sensor.oversampling = 1
-sensor.rows = 280
-sensor.columns = 440
+sensor.rows = 160
+sensor.columns = 260
 flight.azimuth_from_sun_deg = 0
 
 [constraints]
@@ -55,7 +55,7 @@ navigator = [
 ]
 """
 if FULL:
-    TEXT = TEXT.replace("sensor.rows = 280\nsensor.columns = 440\n", "").replace(
+    TEXT = TEXT.replace("sensor.rows = 160\nsensor.columns = 260\n", "").replace(
         "duration_s = 6", "duration_s = 16"
     )
 
