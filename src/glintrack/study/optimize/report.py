@@ -254,7 +254,8 @@ def _sentences(
     certain = f"The probability that it meets all requirements is {_share(outcome.feasibility[chosen])}"
     cities = len(outcome.confirming)
     fresh = f", with {cities} cities that the search had not used" if cities else ", not confirmed"
-    return [*out, f"{certain}{fresh} ({counts})."]
+    needed = "" if outcome.answer == "yes" else f"; a confirmation needs {problem.sure_probability:.3g}"
+    return [*out, f"{certain}{fresh} ({counts}){needed}."]
 
 
 def _at_end(setup: Optimization, design: int) -> list[str]:

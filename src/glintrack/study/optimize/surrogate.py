@@ -72,7 +72,8 @@ class GaussianProcess:
         at = np.column_stack([places, np.zeros(len(places))])
         alike = matern(cdist(at / self.lengths, self.inputs / self.lengths))
         cross = self.mean_variance + self.signal_variance * alike
-        variance = self.mean_variance + self.signal_variance - np.einsum("mi,ij,mj->m", cross, self.inverse, cross)
+        known = np.einsum("mi,ij,mj->m", cross, self.inverse, cross)
+        variance = self.mean_variance + self.signal_variance - known
         return self.mean + cross @ self.weights, np.sqrt(np.maximum(variance, 0.0))
 
     def to_values(self) -> dict[str, Any]:
