@@ -95,6 +95,36 @@ def test_a_leaf_and_an_interface_of_ones_own(tmp_path):
         load_user_materials(path)
 
 
+def test_shares_of_paints_replace_the_librarys(tmp_path):
+    path = write(tmp_path, LILAC + "\n[paint_shares]\npaint_white = 0.2\nlilac = 0.6\n")
+    library, _ = load_user_materials(path)
+    chosen = library["material"].values[choose_paints(library, np.arange(3000), 1)]
+    assert set(chosen) == {"paint_white", "lilac"}
+    assert np.mean(chosen == "lilac") == pytest.approx(0.75, abs=0.03)
+    path.write_text("[paint_shares]\npaint_red = 1\n")  # no material of one's own
+    library, _ = load_user_materials(path)
+    assert set(library["material"].values[choose_paints(library, np.arange(30), 1)]) == {"paint_red"}
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        ("paint_shares = 3", "`paint_shares` must be a table of paints and shares, such as .*; got 3"),
+        ("[paint_shares]", "`paint_shares` must be a table"),
+        ("[paint_shares]\npaint_pink = 0.1", "`paint_shares` must name materials, .*; got 'paint_pink'"),
+        ("[paint_shares]\npaint_red = 34", "`paint_shares.paint_red` must be a share from 0 to 1; got 34"),
+        ("[paint_shares]\npaint_red = nan", "`paint_shares.paint_red` must be a share from 0 to 1; got nan"),
+        ("[paint_shares]\npaint_red = 0", "`paint_shares` must have a share above 0"),
+    ],
+)
+def test_bad_shares_of_paints_get_one_sentence(tmp_path, table, sentence):
+    path = tmp_path / "m.toml"
+    path.write_text(table)
+    with pytest.raises(ValueError, match=sentence) as error:
+        load_user_materials(path)
+    assert "\n" not in str(error.value)
+
+
 def test_panels_lie_where_they_are_asked_for_with_nothing_on_them(tmp_path):
     panel = {"east_m": -225.0, "north_m": 135.0, "length_m": 30.0, "width_m": 10.0, "heading_deg": 90.0}
     panels = [{**panel, "material": "panel_50"}, {**panel, "north_m": 100.0, "material": "lilac"}]

@@ -127,8 +127,9 @@ def load_user_materials(
     ----------
     path
         TOML file: one table per material, in the form of ``data/materials.toml`` (``file`` names a CSV in the
-        folder of the TOML, with columns ``wavelength_um`` and ``reflectance``), and under ``[mesh]`` the
-        material for each of a mesh's own.
+        folder of the TOML, with columns ``wavelength_um`` and ``reflectance``), under ``[mesh]`` the
+        material for each of a mesh's own, and under ``[paint_shares]`` the share of vehicles with each paint,
+        in place of the library's.
     polarized_bases, variation
         See `load_materials`; for a user's materials too.
 
@@ -142,7 +143,7 @@ def load_user_materials(
         If the file or a spectrum cannot be read, or a value is out of its range.
     """
     table = read_toml(path, "materials_file")
-    mesh = table.pop("mesh", {})
+    mesh, shares = table.pop("mesh", {}), table.pop("paint_shares", None)
     if not (isinstance(mesh, dict) and all(isinstance(v, str) for v in mesh.values())):
         raise ValueError(f"`materials_file` must give names under [mesh]; got {mesh!r}.")
     library = load_materials(polarized_bases, variation)
@@ -157,15 +158,31 @@ def load_user_materials(
         except ValueError as error:
             reason = str(error).splitlines()[0]
             raise ValueError(f"`{name}` must be a material: {reason}") from error
-    if not designs:
-        return library, mesh
     known = {*library["material"].values, *designs}
     for name, design in designs.items():
         if design.toward is not None and design.toward not in known:
             raise ValueError(f"`{name}` must have a material as its `toward`; got {design.toward!r}.")
-    own = _dataset(designs, path.parent, polarized_bases, variation)
-    both = xr.concat([library, own], dim="material", combine_attrs="override")
-    return schema.check(both, "materials"), mesh
+    if designs:
+        own = _dataset(designs, path.parent, polarized_bases, variation)
+        library = xr.concat([library, own], dim="material", combine_attrs="override")
+    if shares is not None:
+        library["paint_share"] = library["paint_share"].copy(data=_paint_shares(library, shares))
+    return schema.check(library, "materials"), mesh
+
+
+def _paint_shares(library: xr.Dataset, shares: object) -> Float[Array, "material"]:
+    """Share of each material among the paints of vehicles; those that a table leaves out have none."""
+    names, example = library["material"].values.tolist(), "such as paint_white = 0.2"
+    if not (isinstance(shares, dict) and shares):
+        raise ValueError(f"`paint_shares` must be a table of paints and shares, {example}; got {shares!r}.")
+    for name, share in shares.items():
+        if name not in names:
+            raise ValueError(f"`paint_shares` must name materials, {example}; got {name!r}.")
+        if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share <= 1:
+            raise ValueError(f"`paint_shares.{name}` must be a share from 0 to 1; got {share!r}.")
+    if sum(shares.values()) <= 0:
+        raise ValueError(f"`paint_shares` must have a share above 0, {example}; got none.")
+    return np.array([float(shares.get(name, 0.0)) for name in names])
 
 
 def _dataset(
