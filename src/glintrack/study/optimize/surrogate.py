@@ -7,8 +7,7 @@ y = μ + g(x, t) + u(c) + e,
 with a Matérn 5/2 covariance of g, one variance for the effects u of cities, and noise e with a variance
 inversely proportional to the duration, as that of a mean over time. μ has a wide normal distribution: the
 level is as uncertain as a mean over the few cities. The hyperparameters maximize the marginal likelihood
-(scikit-learn). `predict` gives the posterior of μ + g at the full duration: the mean
-over all cities.
+(scikit-learn). `predict` gives the posterior of μ + g at the full duration: the mean over all cities.
 
 References
 ----------
@@ -52,7 +51,7 @@ class GaussianProcess:
         Mean of the scores, about which μ varies; of logarithms with half their variance, for the logarithm of
         the mean.
     weights, inverse
-        K⁻¹(y − μ), and K⁻¹, with the covariance K of the scores.
+        K⁻¹(y − ``mean``), and K⁻¹, with the covariance K of the scores.
     city_sd, noise_sd
         Standard deviation of the effects of cities, and of the noise at the full duration.
     """
