@@ -93,7 +93,7 @@ class SceneDesign(Design):
     """TOML with further materials, and under [mesh] the material of each of the mesh's own."""
     polarized_bases: bool = False
     """Polarize the light of bases, for materials with a `polarized_base` (asphalt, concrete): Umov's law."""
-    material_variation: float = Field(default=0.0, ge=0, le=2)
+    material_variation: float = Field(default=1.0, ge=0, le=2)
     """Scale of the variation of colour and gloss within a material and between vehicles: 1 as in the library,
     0 for none."""
     dem_file: FileName | None = None
