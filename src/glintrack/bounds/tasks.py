@@ -39,7 +39,7 @@ def measure_tasks(case: Case, task: Task, cities: Sequence[int], frames: int = 3
     Parameters
     ----------
     case
-        Flight, atmosphere, lens and electronics. Materials vary, unless it sets material_variation.
+        Flight, atmosphere, lens and electronics.
     task, cities, frames
         The task, two or more seeds of cities, and measured frames of each, 6 s apart.
 
@@ -108,7 +108,6 @@ def _city_case(case: Case, seed: int, number: int, frames: int) -> Case:
     changes = {
         "seed": seed,
         "scene.seed": seed,
-        "scene.material_variation": case.scene.explicit_values().get("material_variation", 1.0),
         "flight.start_s": case.flight.start_s + number % _STARTS * _START_STEP_S,
         "flight.frames": frames,
         "sensor": case.sensor.replace({"layout": "pan", "demosaic": "superpixel", **size}),
