@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 
 from glintrack import Case, simulate
 
-middle = {} if os.environ.get("GLINTRACK_DOCS_FULL") == "1" else {"sensor.rows": 280, "sensor.columns": 440}
+middle = {} if os.environ.get("GLINTRACK_DOCS_FULL") == "1" else {"sensor.rows": 180, "sensor.columns": 280}
 changes = {"flight.frames": 12, "bound.every": 0, "channels": ["pan"], **middle}
 base = Case.from_name("quickstart").replace(changes)
 twice = {"sensor.rows": 2 * base.sensor.rows, "sensor.columns": 2 * base.sensor.columns}

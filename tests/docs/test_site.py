@@ -1,7 +1,6 @@
 """The documentation: it builds without warnings and without the network, and its links lead somewhere."""
 
 import ast
-import json
 import os
 import re
 import shutil
@@ -44,20 +43,15 @@ def test_relative_links_lead_to_files(page):
 
 
 def code_of(path):
-    """Code of a script, or of all complete examples of a page or a notebook."""
+    """Code of a script, or of all complete examples of a page."""
     text = path.read_text(encoding="utf-8")
-    if path.suffix == ".ipynb":
-        return "\n".join("".join(c["source"]) for c in json.loads(text)["cells"] if c["cell_type"] == "code")
     if path.suffix == ".md":
         blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
         return "\n".join(block for block in blocks if "import" in block)
     return text
 
 
-@pytest.mark.parametrize(
-    "path", [*TUTORIALS, *RECIPES, *PAGES, ROOT / "README.md", *(ROOT / "examples").glob("*.ipynb")],
-    ids=lambda p: p.name,
-)  # fmt: skip
+@pytest.mark.parametrize("path", [*TUTORIALS, *RECIPES, *PAGES, ROOT / "README.md"], ids=lambda p: p.name)
 def test_examples_call_only_what_is_public(path):
     """Packages and modules of the reference of the Python interface, and no name with an underscore."""
     tree = ast.parse(code_of(path))
