@@ -10,7 +10,7 @@ from glintrack import track
 from glintrack.track import existence
 from glintrack.track.calibration import read_calibration
 from glintrack.track.design import TrackDesign
-from glintrack.track.existence import NEIGHBOUR_M, REASSIGNED_M
+from glintrack.track.existence import NEIGHBOUR_M
 from glintrack.track.flow import no_flow
 from glintrack.track.identity import BINS
 from glintrack.track.initiation import initiate, select, speed_sigma
@@ -19,6 +19,8 @@ from tests.plain import plain_tracker
 CHANNELS = ("pan", "dolp", "all")
 AREA = track.Grid((40, 40), (-300.0, 300.0), 15.0)
 INTERVAL_S = 0.5
+LIMITS = existence.duplicate_limits()
+REASSIGNED_M = read_calibration("existence").constants["reassigned_m"]
 EXISTENCE = {"reporting.method": "existence", "reporting.lag_s": 0.0, "initiation.rules": "change"}
 
 
@@ -101,7 +103,7 @@ def test_two_tracks_of_a_queue_are_no_duplicates():
 def test_two_tracks_on_busy_lanes_are_no_duplicates():
     pair = placed([(0, 0), (1.8, 6)])  # farther across than two places of one vehicle
     place, velocity = np.zeros((9, 2)), np.tile([0.0, 10.0], (9, 1))
-    for count, found in ((existence.PAIR_MAX_VOTES, 1), (9, 0)):
+    for count, found in ((LIMITS["max_votes"], 1), (9, 0)):
         flow = replace(
             no_flow(), place=place[:count], velocity=velocity[:count], time_s=-3.0 * np.ones(count)
         )
@@ -277,7 +279,7 @@ def test_what_moves_otherwise_or_slowly_or_was_long_unseen_is_another():
     assert pairs_of(placed(place)) == [[0, 1]]
     assert not pairs_of(placed(place, [(0.0, 10.0), (0.0, 16.1)]))
     assert not pairs_of(placed(place, [(0.0, 10.0), (0.0, -10.0)]))
-    assert not pairs_of(placed(place, (0.0, existence.PAIR_MIN_SPEED_M_S - 0.1)))
+    assert not pairs_of(placed(place, (0.0, LIMITS["min_speed_m_s"] - 0.1)))
     assert not pairs_of(replace(placed(place), misses=np.array([0, 2])))
     assert not pairs_of(replace(placed(place), confirmed=np.array([True, False])))
 
@@ -295,21 +297,21 @@ def test_pairs_are_those_of_all_pairs_however_the_scene_is_turned():
         for b in range(a + 1, 80):
             r, v = place[b] - place[a], (velocity[a] + velocity[b]) / 2
             speed = np.hypot(*v)
-            if speeds[a, b] < existence.PAIR_SPEED_M_S and speed > existence.PAIR_MIN_SPEED_M_S:
+            if speeds[a, b] < LIMITS["speed_difference_m_s"] and speed > LIMITS["min_speed_m_s"]:
                 aside = abs(r[0] * v[1] - r[1] * v[0]) / speed
                 together[a, b] = apart[a, b], abs(r @ v) / speed, aside, speed
     beside = [
         k for k, (far, _, aside, _) in together.items()
-        if far <= existence.FOLLOWER_M and aside <= existence.BESIDE_M
+        if far <= LIMITS["follower_m"] and aside <= LIMITS["beside_m"]
     ]  # fmt: skip
     expected = []
     for (a, b), (far, ahead, aside, speed) in together.items():
         two = sum(a in k for k in beside) == sum(b in k for k in beside) == 1
-        near = two and (a, b) in beside and aside <= existence.FOLLOWER_ACROSS_M
-        near &= ahead <= existence.CAR_M + existence.HEADWAY_S * speed
-        alone = min(alike[a], alike[b]) <= existence.PAIR_MAX_ALIKE
-        alone &= far <= existence.PAIR_M
-        if near or (alone and (ahead <= existence.PAIR_ALONG_M or aside <= existence.PAIR_ACROSS_M)):
+        near = two and (a, b) in beside and aside <= LIMITS["lane_m"]
+        near &= ahead <= LIMITS["car_m"] + LIMITS["headway_s"] * speed
+        alone = min(alike[a], alike[b]) <= LIMITS["max_alike"]
+        alone &= far <= LIMITS["distance_m"]
+        if near or (alone and (ahead <= LIMITS["along_m"] or aside <= LIMITS["across_m"])):
             expected.append([a, b])
     assert len(expected) > 15
     assert pairs_of(targets) == expected

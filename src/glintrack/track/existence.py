@@ -11,6 +11,7 @@ the same velocity. Such duplicates are tracked separately and reported as one tr
 under the oldest id.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -32,24 +33,6 @@ NEIGHBOUR_M, SAME_SPEED_M_S = 12.0, 4.0
 QUEUE_M, QUEUE = 40.0, 4  # distance and number of the tracks of a queue
 _ITERATIONS = 30  # of expectation maximization
 _MAX_NEIGHBOURS = 24
-
-# Duplicates: chosen on quickstart 11 and 12 and braunschweig 11; three in four such pairs are one vehicle.
-PAIR_M, PAIR_SPEED_M_S, PAIR_MIN_SPEED_M_S = 7.0, 6.0, 6.0
-PAIR_ACROSS_M, PAIR_ALONG_M = 2.0, 4.0  # a pair in line is no farther across, one abreast no farther along
-PAIR_FRAMES, PAIR_END_M = 4, 12.0  # frames that a pair lasts after it was found, and distance that ends it
-PAIR_MAX_MISSES = 1
-PAIR_MAX_ALIKE = 2  # tracks alike within `QUEUE_M`, with the other of the pair; more are a queue of vehicles
-PAIR_MAX_VOTES = 4  # other vehicles with that velocity on the line of both; more are lanes of vehicles
-
-# Two vehicles in one lane are no closer than a car's length and the way in this time. Two tracks that are
-# have one vehicle, unless a third is in line with one of them within `FOLLOWER_M`: that is a queue.
-# Chosen on one flight each over quickstart, a junction and an arterial road.
-CAR_M, HEADWAY_S = 4.5, 0.4
-FOLLOWER_M, FOLLOWER_ACROSS_M, BESIDE_M = 10.0, 1.5, 2.5
-
-# Beyond this distance from its predicted position half of the tracks found again have changed vehicles
-# (quickstart 11 and braunschweig 11).
-REASSIGNED_M = 6.0
 
 
 def group_log_odds(
@@ -203,6 +186,11 @@ def _neighbours(targets: Targets, primary: Int[Array, "target"]) -> Neighbours:
     )
 
 
+def duplicate_limits() -> Mapping[str, float]:
+    """Distances, speeds and counts at which two tracks follow one vehicle (``existence.toml``)."""
+    return read_calibration("existence").constants["duplicates"]
+
+
 @dataclass(frozen=True)
 class Duplicates:
     """Pairs of tracks that follow the same vehicle.
@@ -212,7 +200,8 @@ class Duplicates:
     pair
         Ids, the older first; rows rise.
     frames
-        Frames in which each pair was found, less those in which it was not since, at most `PAIR_FRAMES`.
+        Frames in which each pair was found, less those in which it was not since, at most ``frames``
+        of `duplicate_limits`.
     """
 
     pair: Int[Array, "pair 2"]
@@ -236,16 +225,17 @@ def update_duplicates(before: Duplicates, targets: Targets, flow: Flow, time_s: 
     flow, time_s
         Flow of traffic, and the epoch. [s]
     """
+    limits = duplicate_limits()
     found = targets.id[_find_pairs(targets, flow, time_s)]
     pair, which = np.unique(np.concatenate([found, before.pair]), axis=0, return_inverse=True)
     which = which.reshape(-1)
     change = np.r_[np.full(len(found), 2), before.frames - 1]  # one more if found, else one less
-    frames = np.minimum(np.bincount(which, change, len(pair)), PAIR_FRAMES).astype(np.int64)
+    frames = np.minimum(np.bincount(which, change, len(pair)), limits["frames"]).astype(np.int64)
     frames[np.bincount(which[len(found) :], minlength=len(pair)) == 0] = 1
     row, found_rows = find_rows(targets.id, pair)
     alive, near = found_rows.all(axis=1), np.zeros(len(pair), bool)
     apart = targets.position[row[alive, 0]] - targets.position[row[alive, 1]]
-    near[alive] = np.hypot(*apart.T) < PAIR_END_M
+    near[alive] = np.hypot(*apart.T) < limits["end_m"]
     lasting = alive & near & (frames > 0)
     return Duplicates(pair[lasting], frames[lasting])
 
@@ -276,27 +266,31 @@ def move_to_mean_position(targets: Targets, primary: Int[Array, "target"]) -> Ta
 
 def _find_pairs(targets: Targets, flow: Flow, time_s: float) -> Int[Array, "pair 2"]:
     """Find pairs of confirmed targets that move together at this epoch; indices, the older first."""
-    present = np.flatnonzero(targets.confirmed & (targets.misses <= PAIR_MAX_MISSES))
+    limits = duplicate_limits()
+    present = np.flatnonzero(targets.confirmed & (targets.misses <= limits["max_misses"]))
     if len(present) < 2:
         return np.empty((0, 2), np.int64)
-    near = KDTree(targets.position[present]).query_pairs(FOLLOWER_M, output_type="ndarray").reshape(-1, 2)
+    tree = KDTree(targets.position[present])
+    near = tree.query_pairs(limits["follower_m"], output_type="ndarray").reshape(-1, 2)
     a, b = np.sort(present[near], axis=1).T
     velocity = 0.5 * (targets.mean[a, 2:] + targets.mean[b, 2:])
     speed, apart = np.hypot(*velocity.T), targets.position[b] - targets.position[a]
     unit = velocity / np.maximum(speed, 1e-9)[:, None]
     along_m = np.abs((apart * unit).sum(axis=1))
     across_m = np.abs(apart[:, 1] * unit[:, 0] - apart[:, 0] * unit[:, 1])
-    alike = np.hypot(*(targets.mean[a, 2:] - targets.mean[b, 2:]).T) < PAIR_SPEED_M_S
-    alike &= speed > PAIR_MIN_SPEED_M_S
-    in_line, in_lane = (alike & (across_m <= most) for most in (PAIR_ACROSS_M, FOLLOWER_ACROSS_M))
-    beside = alike & (across_m <= BESIDE_M)
+    alike = np.hypot(*(targets.mean[a, 2:] - targets.mean[b, 2:]).T) < limits["speed_difference_m_s"]
+    alike &= speed > limits["min_speed_m_s"]
+    in_line, in_lane = (alike & (across_m <= limits[name]) for name in ("across_m", "lane_m"))
+    beside = alike & (across_m <= limits["beside_m"])
     others = np.bincount(np.concatenate([a[beside], b[beside]]), minlength=len(targets))
-    too_close = in_lane & (along_m <= CAR_M + HEADWAY_S * speed) & (others[a] == 1) & (others[b] == 1)
+    too_close = in_lane & (along_m <= limits["car_m"] + limits["headway_s"] * speed)
+    too_close &= (others[a] == 1) & (others[b] == 1)
     count = _neighbours(targets, np.arange(len(targets))).count
-    alone = np.minimum(count[a], count[b]) <= PAIR_MAX_ALIKE
+    alone = np.minimum(count[a], count[b]) <= limits["max_alike"]
     votes = count_votes(flow, targets.position, targets.mean[:, 2:], time_s)
-    alone &= np.minimum(votes[a], votes[b]) <= PAIR_MAX_VOTES
-    alone &= (np.hypot(*apart.T) <= PAIR_M) & (in_line | (alike & (along_m <= PAIR_ALONG_M)))
+    alone &= np.minimum(votes[a], votes[b]) <= limits["max_votes"]
+    alone &= np.hypot(*apart.T) <= limits["distance_m"]
+    alone &= in_line | (alike & (along_m <= limits["along_m"]))
     return np.stack([a, b], axis=-1)[too_close | alone]
 
 
@@ -320,7 +314,7 @@ def reassign_ids(before: Targets, after: Targets, interval_s: float, next_id: in
         return ids
     row, known = find_rows(before.id, after.id)
     expected = before.position[row] + before.mean[row, 2:4] * interval_s
-    far = np.hypot(*(after.position - expected).T) > REASSIGNED_M
+    far = np.hypot(*(after.position - expected).T) > read_calibration("existence").constants["reassigned_m"]
     found = known & (before.misses[row] > 0) & (after.misses == 0)
     new = np.flatnonzero(after.confirmed & found & far)
     ids[new] = next_id + np.arange(len(new))
