@@ -67,7 +67,7 @@ def test_a_dry_run_writes_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "expected"), [("1", "72 (72 designs)"), ("2", "144 (72 designs × 2 replicates)")]
+    ("given", "expected"), [("1", "96 (96 designs)"), ("2", "192 (96 designs × 2 replicates)")]
 )
 def test_a_dry_run_counts_the_replicates_asked_for(given, expected, tmp_path):
     done = invoke("ranks", "--replicates", given, "--dry-run", "-o", tmp_path / "out")
