@@ -153,6 +153,7 @@ class ThreeCars:
     crs: str = "EPSG:32618"
     origin_easting_m: float = 288000.0
     origin_northing_m: float = 4781000.0
+    origin_height_m: float = 0.0
     latitude_deg: float = 43.16
     longitude_deg: float = -77.61
     duration_s: float = 3600.0

@@ -7,6 +7,7 @@ import pyproj
 import pytest
 
 from glintrack.flight import FlightDesign, build_flight
+from glintrack.flight.paths import check_waypoints
 
 MILLIMETRE = 1e-3
 CRS, ORIGIN = "EPSG:32632", (604000.0, 5792000.0)
@@ -87,6 +88,14 @@ def test_degrees_come_to_their_place_in_the_scene(tmp_path):
         tmp_path, "way.csv", f"longitude_deg,latitude_deg,altitude_m\n{rows}\n", waypoint_datum_m=70.0
     )
     np.testing.assert_allclose(flight.pose(1.0).position, [100, 300, 1000], atol=2 * MILLIMETRE)
+
+
+@pytest.mark.parametrize(("longitude", "latitude"), [(-104.99, 39.74), (139.7, 35.7), (25.0, 68.0)])
+def test_a_file_is_checked_wherever_it_lies(tmp_path, longitude, latitude):
+    rows = f"{longitude},{latitude},1900\n{longitude + 0.01},{latitude},1900\n"
+    (tmp_path / "way.csv").write_text("longitude_deg,latitude_deg,altitude_m\n" + rows)
+    design = FlightDesign(kind="waypoints", waypoint_file="way.csv").resolve_files(tmp_path)
+    check_waypoints(design)
 
 
 @pytest.mark.parametrize(("mode", "up_m"), [("absolute", 930.0), ("relativeToGround", 1000.0)])

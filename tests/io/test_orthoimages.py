@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from glintrack.io.orthoimages import Geotransform, open_frames
+from glintrack.io.images import write_frame
+from glintrack.io.orthoimages import Geotransform, image_of, open_frames
 
 HERE = Geotransform(0.0, 0.0, 1.0)
 
@@ -46,6 +47,18 @@ def test_without_place_one_sentence_says_what_to_give(tmp_path):
     write(tmp_path, "a.png", 7)
     with pytest.raises(ValueError, match=r"world file; got none in .*--geotransform"):
         open_frames(tmp_path, 1.0)
+
+
+def test_a_frame_of_a_run_is_read_back_with_its_polarization(tmp_path):
+    light = np.random.default_rng(1).uniform(1.0, 2.0, (6, 8, 3)).astype(np.float32)
+    bands = dict(zip("IQU", np.moveaxis(light * (1.0, 0.2, 0.1), -1, 0), strict=True))
+    image = image_of(bands, HERE)
+    np.testing.assert_array_equal(image["pan"], bands["I"])  # not the mean of I, Q and U
+    image = image.assign(pan=0.9 * image["pan"]).assign_attrs(gsd_m=1.0)
+    write_frame(tmp_path / "pan_0001.00s.tif", image, "EPSG:32618", (300000.0, 4800000.0))
+    ((_, found),) = open_frames(tmp_path, 1.0).frames
+    for name in ("pan", "dolp", "stokes_radiance"):
+        np.testing.assert_allclose(found[name], image[name], rtol=1e-5)
 
 
 def test_transparency_is_no_light(tmp_path):

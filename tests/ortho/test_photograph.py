@@ -14,6 +14,7 @@ from glintrack.camera import Camera, Pose, look_at, project
 from glintrack.core.distortion import Distortion
 from glintrack.io.photographs import PlacedPose, camera_file, pose_file, read_camera, read_pose
 from glintrack.ortho import rectify_onto
+from glintrack.ortho.rasters import MapGrid
 
 CAMERA = Camera(0.068, 17e-6, 120, 160)
 PLACED = PlacedPose(look_at(Pose(20.0, -150.0, 880.0), (0.0, 0.0, 80.0)), "EPSG:32632", (604000.0, 5792000.0))
@@ -205,3 +206,11 @@ def test_what_no_camera_has_is_refused(tmp_path, more, message):
     path.write_text(f"focal_length_mm = 68.0\npitch_um = 17.0\nrows = 120\ncolumns = 160\n{more}\n")
     with pytest.raises(ValueError, match=message):
         read_camera(path)
+
+
+def test_cells_of_a_map_in_feet_are_as_large_as_those_in_metres():
+    """EPSG:2263 is in US survey feet of 0.3048 m."""
+    new_york = PlacedPose(Pose(0.0, 0.0, 1000.0), "EPSG:32618", (585000.0, 4510000.0))
+    metres, feet = (MapGrid.over(CAMERA, new_york, (0.0, 0.0), crs) for crs in (None, "EPSG:2263"))
+    assert feet.gsd == pytest.approx(metres.gsd / 0.3048, rel=0.05)
+    assert len(feet.x) == pytest.approx(len(metres.x), rel=0.1)

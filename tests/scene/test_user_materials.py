@@ -104,6 +104,8 @@ def test_shares_of_paints_replace_the_librarys(tmp_path):
     path.write_text("[paint_shares]\npaint_red = 1\n")  # no material of one's own
     library, _ = load_user_materials(path)
     assert set(library["material"].values[choose_paints(library, np.arange(30), 1)]) == {"paint_red"}
+    others = load_materials()  # of the next case in this process
+    assert len(set(others["material"].values[choose_paints(others, np.arange(300), 1)])) > 3
 
 
 @pytest.mark.parametrize(

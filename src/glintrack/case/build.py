@@ -75,7 +75,10 @@ def build_scenario(case: Case) -> Scenario:
     check_recorded(case.flight, city.duration_s)
     tables = solve_tables(case.atmosphere)
     origin_m = (city.origin_easting_m, city.origin_northing_m)
-    flight = build_flight(case.flight, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
+    path = case.flight
+    if path.waypoint_datum_m is None:
+        path = path.replace({"waypoint_datum_m": city.origin_height_m})
+    flight = build_flight(path, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
     sky = unpack_sky(tables, flight.mean_altitude_m)
     sensor = build_sensor(case.sensor, sky.wavelength_um)
     observer = Observer(
@@ -91,7 +94,7 @@ def build_scenario(case: Case) -> Scenario:
 
 
 def check_place(atmosphere: AtmosphereDesign, city: City) -> None:
-    """Refuse a place of the sun whose latitude and longitude are those of the city, exchanged."""
+    """Refuse a place of the sun that is not the city's: left out, or latitude and longitude exchanged."""
     own = np.array([atmosphere.latitude_deg, atmosphere.longitude_deg])
     there = np.array([city.latitude_deg, city.longitude_deg])
     near, exchanged = (np.abs(own - one).max() < 1.0 for one in (there, there[::-1]))  # within a degree
@@ -99,6 +102,13 @@ def check_place(atmosphere: AtmosphereDesign, city: City) -> None:
         raise ValueError(
             f"`atmosphere.latitude_deg` and longitude_deg must be those of the city, {there[0]:.4g}° and "
             f"{there[1]:.4g}°; got {own[0]:.4g}° and {own[1]:.4g}°. Exchange them."
+        )
+    given = {"latitude_deg", "longitude_deg", "sun_zenith_deg"} & atmosphere.explicit_values().keys()
+    if not near and not given:
+        raise ValueError(
+            "`atmosphere.latitude_deg` and longitude_deg must be given for a city at another place than the "
+            f"packaged one; got none. This city lies at {there[0]:.4f}° and {there[1]:.4f}°. The sun depends "
+            "on it."
         )
 
 

@@ -43,8 +43,9 @@ class FlightDesign(Design):
     """Half circles of a racetrack, between its legs."""
     waypoint_file: str | None = None
     """CSV or KML with the path, relative to the case (docs/guide/case.md)."""
-    waypoint_datum_m: float = Field(default=0.0, ge=-1000, le=20000)
-    """Height of ENU zero in the waypoint file's altitudes."""
+    waypoint_datum_m: float | None = Field(default=None, ge=-1000, le=20000)
+    """Height of ENU zero in the waypoint file's altitudes; by default that of the ground at the origin, if
+    `scene.dem_file` gives it, else 0."""
     gimbal: Literal["stare", "fixed"] = "stare"
     """Pointed at the stare point, or at fixed angles to the airframe."""
     gimbal_azimuth_deg: float = Field(default=0.0, ge=-360, le=360)

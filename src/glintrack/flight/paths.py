@@ -14,7 +14,7 @@ from jaxtyping import Float
 from glintrack.camera import Pose, look_at, rotate_line_of_sight
 from glintrack.core.arrays import Array
 from glintrack.flight.design import FlightDesign
-from glintrack.flight.waypoints import Waypoints, read_waypoints
+from glintrack.flight.waypoints import MAX_DISTANCE_M, Waypoints, read_waypoints
 
 JITTER_HZ = 5.0, 100.0  # band of the jitter of a stabilised gimbal
 _JITTER_TONES = 24  # enough that their sum is close to normal
@@ -131,7 +131,11 @@ def build_flight(
     if design.kind != "waypoints" or design.waypoint_file is None:
         return Flight(design, sun_azimuth_rad, seed=seed)
     path = Path(design.waypoint_file)
-    read = read_waypoints(path, crs, origin_m, design.waypoint_datum_m, design.start_s)
+    read = read_waypoints(path, crs, origin_m, design.waypoint_datum_m or 0.0, design.start_s)
+    if np.abs(read.place_m).max(initial=0) > MAX_DISTANCE_M:
+        raise ValueError(
+            f"`waypoint_file` must lie within {MAX_DISTANCE_M:g} m of the scene; got {path.name}."
+        )
     waypoints = read.with_times(design.start_s, design.speed_m_s)
     flight, times = Flight(design, sun_azimuth_rad, waypoints, seed), np.asarray(waypoints.time_s)
     first, last = flight.times_s[0], flight.times_s[-1]
@@ -146,7 +150,7 @@ def build_flight(
 def check_waypoints(design: FlightDesign) -> None:
     """Raise ValueError for a bad waypoint file, for any scene; see `build_flight`."""
     path, world = Path(design.waypoint_file or ""), "EPSG:3857"  # has metres everywhere
-    read = read_waypoints(path, world, (0.0, 0.0), design.waypoint_datum_m, design.start_s)
+    read = read_waypoints(path, world, (0.0, 0.0), design.waypoint_datum_m or 0.0, design.start_s)
     read.with_times(design.start_s, design.speed_m_s)
 
 

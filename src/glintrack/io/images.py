@@ -45,7 +45,7 @@ def write_frame(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, 
     corner = (float(image["x"][0]) - gsd / 2 + origin_m[0], float(image["y"][0]) + gsd / 2 + origin_m[1])
     stokes = image["stokes_radiance"].values
     bands = [image["pan"].values, *np.moveaxis(stokes[..., :3], -1, 0), image["dolp"].values]
-    units = dict.fromkeys(("pan", *(f"stokes_{c}" for c in "IQU")), RADIANCE) | {"dolp": "1"}
+    units = dict.fromkeys(("pan", "I", "Q", "U"), RADIANCE) | {"dolp": "1"}
     tags = {"time_s": image.attrs.get("time_s", 0.0), "stokes_frame": "meridian"}
     transform = rasterio.transform.from_origin(*corner, gsd, gsd)
     _write(path, bands, list(units), crs, transform, tags, units=list(units.values()))
@@ -112,7 +112,9 @@ def write_bands(
         raise ValueError(f"`output` must end in .tif or .nc; got {path.name!r}.")
     if ending == ".nc":
         mapping = pyproj.CRS.from_user_input(crs)
-        unit = "degree" if mapping.is_geographic else "m"
+        axes = mapping.axis_info
+        unit = "degree" if mapping.is_geographic else "m" if not axes else axes[0].unit_name
+        unit = {"metre": "m"}.get(unit, unit)
         dataset = xr.Dataset(
             {
                 name: (("y", "x"), bands[..., k], {"grid_mapping": "spatial_ref"})

@@ -178,7 +178,7 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
     _check_place(first.crs, first.grid)
     dolp = {"I", "Q", "U"} <= set(first.bands)
     left_out = {f"not {files[0].suffix}": others}
-    pan = "band pan" if "pan" in first.bands else f"mean of {', '.join(first.bands)}"
+    pan = "band pan" if "pan" in first.bands else "band I" if dolp else f"mean of {', '.join(first.bands)}"
     notes = f"radiance: {pan}", *first.notes
     report_reading(folder, "frames", len(files) + others, len(files), left_out, notes)
     if rate_hz is None:
@@ -313,6 +313,7 @@ def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
     if width * height > MAX_CELLS:
         raise ValueError(f"`frames` must have at most {MAX_CELLS:,} pixels; got {width} × {height}: {path}.")
     rate = rate_hz or float(about["fps"])
+    check_rate(rate)
     grid = geotransform
 
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
@@ -324,10 +325,12 @@ def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
 
 
 def image_of(bands: dict[str, Array], grid: Geotransform) -> xr.Dataset:
-    """Dataset of the schema ``image`` from bands on a grid; pan is the mean of unnamed bands."""
-    pan = bands["pan"] if "pan" in bands else np.stack(list(bands.values())).mean(axis=0)
+    """Dataset of the schema ``image`` from bands on a grid; pan is band pan, I, or the mean of all."""
+    has_stokes = {"I", "Q", "U"} <= set(bands)
+    named = bands.get("pan", bands["I"] if has_stokes else None)
+    pan = np.stack(list(bands.values())).mean(axis=0) if named is None else named
     height, width = np.shape(pan)
-    if {"I", "Q", "U"} <= set(bands):
+    if has_stokes:
         stokes = np.stack([bands[name] for name in "IQU"], axis=-1)
         with np.errstate(divide="ignore", invalid="ignore"):
             dolp = np.hypot(stokes[..., 1], stokes[..., 2]) / stokes[..., 0]

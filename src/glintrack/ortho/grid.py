@@ -1,17 +1,15 @@
 """The ground grid: places of its cells in any CRS, and the heights under them."""
 
 import numpy as np
-import pyproj
 import xarray as xr
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from pyproj.exceptions import CRSError
 from scipy.interpolate import RegularGridInterpolator
 
 from glintrack.camera import Camera, Pose, rays
 from glintrack.core.arrays import Array
 from glintrack.core.interpolation import height_at
-from glintrack.io.crs import change_crs
+from glintrack.io.crs import any_crs, change_crs
 
 _LATTICE = 32  # cells between places that are transformed exactly
 _MAX_LATTICE_ERROR = 0.02  # of a cell; otherwise every place is transformed exactly
@@ -53,7 +51,7 @@ def transform_axes(
     """
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     shape = (len(y), len(x))
-    if _crs(from_crs) == _crs(to_crs):
+    if any_crs(from_crs) == any_crs(to_crs):
         return np.broadcast_to(x[None], shape), np.broadcast_to(y[:, None], shape)
 
     def exact(columns: Array, rows: Array) -> Array:
@@ -78,18 +76,11 @@ def transform_places(
     x: Float[Array, "*place"], y: Float[Array, "*place"], from_crs: str, to_crs: str
 ) -> tuple[Float[Array, "*place"], Float[Array, "*place"]]:
     """Places in another CRS, each by itself; see `transform_axes`."""
-    source, target = _crs(from_crs), _crs(to_crs)
+    source, target = any_crs(from_crs), any_crs(to_crs)
     found = change_crs(source, target).transform(x, y)
     if not np.isfinite(found).all():
         raise ValueError(f"`crs` must hold the whole grid; got places of {source.name} beyond {target.name}.")
     return found
-
-
-def _crs(crs: str) -> pyproj.CRS:
-    try:
-        return pyproj.CRS.from_user_input(crs)
-    except CRSError as error:
-        raise ValueError(f"`crs` must be one that PROJ knows; got {crs!r}.") from error
 
 
 def on_ground(terrain: xr.Dataset, enu: Float[Array, "point axis"]) -> Float[Array, "point 3"]:

@@ -253,7 +253,7 @@ def _void_share(ground: Array, camera: Camera, placed: PlacedPose, east: Array, 
     share = float((missing & seen).sum() / max(seen.sum(), 1))
     remedy = "Fill it with gdal_fillnodata.py, or give a smaller area or a height."
     if share == 1:
-        raise ValueError(f"`dem` must have heights where the frame looks; got none there. {remedy}.")
+        raise ValueError(f"`dem` must have heights where the frame looks; got none there. {remedy}")
     if share:
         warnings.warn(
             f"`dem` has no height in {100 * share:.2g} % of the ground in the frame: NaN there. {remedy}",

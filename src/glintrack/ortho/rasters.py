@@ -72,7 +72,8 @@ class MapGrid:
             corners = np.array([[row, column], [row + 1, column], [row, column + 1]])
             level_m = min(sum(levels_m) / 2, placed.pose.up_m - 1)
             a, b, c = ground_points(camera, placed.pose, corners, level_m)
-            gsd = float(f"{math.sqrt(float(np.linalg.norm(np.cross(b - a, c - a)))):.2g}")
+            side = math.sqrt(float(np.linalg.norm(np.cross(b - a, c - a))))
+            gsd = float(f"{side / CRS.from_user_input(own).linear_units_factor[1]:.2g}")
         if not 0 < gsd <= MAX_CELL_M:
             raise ValueError(f"`gsd` must be positive and at most {MAX_CELL_M:g}; got {gsd:g}.")
         if not all(abs(v) <= MAX_COORDINATE_M for v in area):

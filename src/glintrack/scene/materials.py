@@ -31,7 +31,7 @@ from glintrack.io.spectra import read_spectra
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file, resolve_path
 
-DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
+DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.shading
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
 VARIATIONS = ("colour_variation", "gloss_variation", "vehicle_variation")
 _LIMITS = {"n": (1e-3, 100.0), "k": (0.0, 100.0)}  # of columns that hold no share of the light
@@ -109,7 +109,7 @@ def load_materials(polarized_bases: bool = False, variation: float = 0.0) -> xr.
     over 0.4–2.5 µm, ``refractive_index`` and ``extinction_index`` at 0.65 µm and the same over wavelength as
     ``refractive_index_spectrum`` and ``extinction_index_spectrum``, GGX ``roughness``, ``specular_weight``
     (fraction of a facet with a Fresnel interface), ``polarized_base`` (scale of the polarization of a base,
-    `render.shading.polarized_base`), ``mottle`` (relative standard deviation of the slow change of
+    `render.shading.interface`), ``mottle`` (relative standard deviation of the slow change of
     reflectance over the ground), ``gap_fraction`` (share of holes in a leaf card), ``paint_share`` (fraction
     of vehicles with that paint, 0 for other materials) and ``preview_rgb`` (sRGB, gamma-encoded, for
     pictures). Treat it as read-only.
@@ -166,7 +166,8 @@ def load_user_materials(
         own = _dataset(designs, path.parent, polarized_bases, variation)
         library = xr.concat([library, own], dim="material", combine_attrs="override")
     if shares is not None:
-        library["paint_share"] = library["paint_share"].copy(data=_paint_shares(library, shares))
+        # a new dataset: the library is cached, and shared by all cases of this process
+        library = library.assign(paint_share=library["paint_share"].copy(data=_paint_shares(library, shares)))
     return schema.check(library, "materials"), mesh
 
 

@@ -10,14 +10,14 @@ from glintrack.core.arrays import Array
 
 MIRROR, OPEN = "mirror", "open"
 Superpixel = tuple[tuple[str | float, ...], ...]
-Demosaicker = Literal["superpixel", "bilinear", "ppid", "eari"]  # `polarimetry.demosaic`
+Demosaicker = Literal["superpixel", "bilinear", "ppid", "eari"]  # `sensor.demosaicking.demosaic`
 # rows from the top; a number is a polarizer's pass axis from the detector's +x, counter-clockwise as seen
 # looking at the source [deg]
 LAYOUTS: dict[str, Superpixel] = {
     "mirror-0-60-120": ((MIRROR, 0.0), (60.0, 120.0)),  # the paper's, §3.2
     "0-45-90-135": ((90.0, 45.0), (135.0, 0.0)),  # as sold: Sony Polarsens, by its flyer
     "pan": ((OPEN,),),
-    "mirror": ((MIRROR,),),  # the multi-object spectrometer before polarizers came to it
+    "mirror": ((MIRROR,),),  # a multi-object spectrometer alone
 }
 LARGEST = 4  # elements along a superpixel's side
 LARGEST_CONDITION = 50.0  # noise of S1 and S2 is then some fifty times that of S0

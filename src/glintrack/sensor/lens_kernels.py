@@ -122,7 +122,7 @@ def through_lens(
 
     Returns
     -------
-    Mean over each element's aperture of what the kernels carry; `wings.with_wings` adds the rest. [radiance]
+    Mean over each element's aperture of what the kernels carry; `with_wings` adds the rest. [radiance]
     """
     count, height, width = planes.shape
     out = np.zeros((count, height // stride, width // stride), np.float32)

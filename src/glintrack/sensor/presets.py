@@ -1,16 +1,15 @@
 """Sensors to compare behind one lens: a preset divides the same light between arrays of filtered elements."""
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from importlib import resources
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
+from glintrack.core.installation import read_data
 from glintrack.core.records import Radiance
 from glintrack.core.spectral import band_response
 from glintrack.sensor.design import SensorDesign
@@ -27,7 +26,7 @@ Element = str | float | list[float]  # as in the file
 
 def read_presets() -> dict[str, dict[str, Any]]:
     """Read the packaged presets, by name; `data/presets.toml` describes their keys."""
-    return tomllib.loads((resources.files("glintrack") / "data" / "presets.toml").read_text("utf-8"))
+    return read_data("presets.toml")
 
 
 def element_curves(

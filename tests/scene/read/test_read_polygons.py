@@ -45,6 +45,7 @@ def read(tmp_path, *parts):
         ('height="9"', {"building__levels": "4"}, 9.0),
         ("", {"height": "tall", "building__levels": "2"}, 2 * 2.9 + 0.4),
         ("", {"height": "-3"}, None),
+        ("", {"height": "0", "building__levels": "4"}, 4 * 2.9 + 0.4),
         ("", {"height": "1e9"}, None),
         ("", {}, None),
     ],
@@ -52,6 +53,11 @@ def read(tmp_path, *parts):
 def test_height_of_a_building(tmp_path, attributes, tags, height_m):
     (found,) = read(tmp_path, polygon("a", 0, 0, 10, attributes=attributes, **tags)).footprints
     assert found.height_m == (pytest.approx(height_m) if height_m else None)
+
+
+def test_polygons_in_degrees_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"must give polygons in metres; got longitudes and latitudes"):
+        read(tmp_path, polygon("a", 0, 0, 10, attributes='geo="true"'))
 
 
 def test_rings_inside_are_courtyards_and_what_stands_in_those_stands_again(tmp_path):

@@ -29,6 +29,12 @@ NET = """<?xml version="1.0"?>
   <edge id="t" from="a" to="b">
     <lane id="t_0" index="0" allow="tram" speed="9" length="9" shape="0,9 9,9"/>
   </edge>
+  <edge id="bus" from="a" to="b">
+    <lane id="bus_0" index="0" disallow="passenger" speed="9" length="9" shape="0,19 9,19"/>
+  </edge>
+  <edge id="river" from="a" to="b">
+    <lane id="river_0" index="0" allow="ship" speed="9" length="9" shape="0,29 9,29"/>
+  </edge>
   <junction id="b" type="traffic_light" x="102" y="0" incLanes="ab_2" intLanes=":b_0_0"
             shape="100,-3 104,-3 104,3"/>
   <junction id="p" type="priority" x="0" y="0" incLanes="ab_0" intLanes="" shape="0,0 1,0 1,1"/>
@@ -51,8 +57,9 @@ def test_tiny_network(tmp_path):
         ("ab", 1): "parking",
         ("ab", 2): "car",
         ("t", 0): "rail",
+        ("bus", 0): "car",
     }
-    (car,) = network.of_kind("car")
+    car, _ = network.of_kind("car")
     assert car.width_m == 3.2 and car.signalled and car.street_type == "highway.residential"
     np.testing.assert_array_equal(car.points, [[0, -1.6], [100, -1.6]])
     assert len(network.junctions) == 1  # the other is entered by pedestrians only
@@ -63,7 +70,7 @@ def test_tiny_network(tmp_path):
 def test_gzipped_network(tmp_path):
     path = tmp_path / "n.net.xml.gz"
     path.write_bytes(gzip.compress(NET.encode()))
-    assert len(read_sumo_net(path)[0].lanes) == 7
+    assert len(read_sumo_net(path)[0].lanes) == 8
 
 
 BOMB = '<?xml version="1.0"?><!DOCTYPE b [<!ENTITY a "aaaa"><!ENTITY c "&a;&a;&a;">]><net>&c;</net>'

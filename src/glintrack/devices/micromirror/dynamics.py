@@ -85,7 +85,7 @@ def square_film() -> tuple[float, float]:
 
 
 def modes(design: MicromirrorDesign, voltages_v: tuple[float, float, float] | None = None) -> PlateModes:
-    """Mode frequencies, damping and shapes about the rest position under voltage.
+    """Mode frequencies and damping about the rest position under voltage.
 
     Raises
     ------

@@ -31,7 +31,7 @@ class ActuatorDesign(Design):
     """Of the spot where a spring joins the plate."""
     electrode_area_um2: float = Field(default=30.0, gt=0, le=1e6, description="Area of each electrode")
     electrode_radius_um: float = Field(default=4.0, gt=0, le=1000)
-    """Of the circle on which the electrodes' middles."""
+    """Of the circle on which the electrodes' centres lie."""
     electrode_gap_um: float = Field(default=1.5, gt=0.01, le=100)
     """Plate to electrodes without voltage."""
     quality_factor: float | None = Field(default=None, gt=0.05, le=1e6)

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from importlib import import_module
-from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from glintrack import stokes
 from glintrack.core import spectral
-from glintrack.core.installation import MissingExtraError, data_file, missing_extra, read_data
+from glintrack.core.installation import VERSION, MissingExtraError, data_file, missing_extra, read_data
 from glintrack.devices.optical_constants import permittivity
 from glintrack.devices.wire_grid.design import PAPER_GRIDS, WireGridDesign
 from glintrack.io import cache
@@ -114,7 +113,7 @@ def solve(
             "licence": "BSD-3-Clause",
             "order": json.dumps(sorted({design.fem.order_at(x) for x in um.tolist()})),
             "elements": json.dumps(sorted({row["elements"] for row in rows})),
-            "versions": json.dumps({"glintrack": version("glintrack"), "ngsolve": rows[0]["ngsolve"]}),
+            "versions": json.dumps({"glintrack": VERSION, "ngsolve": rows[0]["ngsolve"]}),
         },
     )
     return complete(table)

@@ -52,7 +52,7 @@ def read_dem(
     Parameters
     ----------
     path
-        Any raster that GDAL reads and that has a CRS; its first band, in metres.
+        Any raster that GDAL reads and that has a CRS; heights of its first band are converted to metres.
     bounds_m
         West, south, east, north in ENU that it must cover. [m]
     crs, origin_m

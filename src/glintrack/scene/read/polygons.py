@@ -83,6 +83,11 @@ def read_polygons(path: Path) -> Polygons:
         tags |= {key: value or "yes"}
         tags |= {"height": element.get("height", "")} if element.get("height") else {}
         kind, reason = area_kind(tags)
+        if element.get("geo") in ("true", "1"):
+            raise ValueError(
+                f"`{path.name}` must give polygons in metres; got longitudes and latitudes (geo). Convert "
+                "them with SUMO's polyconvert and the network."
+            )
         points = shape_points(path, element.get("shape", ""))
         parts = area_parts(shapely.make_valid(Polygon(points)) if len(points) > 3 else Polygon())
         if kind and not reason and not parts:
@@ -139,7 +144,8 @@ def height_of(tags: Mapping[str, str]) -> float | None:
     heights = [_length(text.strip()) for text in given.split(";")]
     if None not in heights:
         height = max(filter(None, heights), default=0.0)
-        return height if 0 < height <= _MAX_HEIGHT_M else None
+        if 0 < height <= _MAX_HEIGHT_M:
+            return height
     levels = _levels(tags.get("building:levels", ""))
     if levels and 0 < levels * STOREY_M <= _MAX_HEIGHT_M:
         return levels * STOREY_M + PLINTH_M

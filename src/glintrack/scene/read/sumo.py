@@ -192,7 +192,7 @@ def _is_motorway(path: Path, edge: Element, lane: Element) -> bool:
 
 def _kind(edge: Element, lane: Element) -> LaneKind | None:
     allow, disallow = set(lane.get("allow", "").split()), set(lane.get("disallow", "").split())
-    motor = bool(allow & _MOTOR) if allow else not disallow & {"all", "passenger"}
+    motor = bool(allow & _MOTOR) if allow else "all" not in disallow and bool(_MOTOR - disallow)
     match edge.get("function", "normal"):
         case "internal":
             return "internal" if motor else None
@@ -204,6 +204,8 @@ def _kind(edge: Element, lane: Element) -> LaneKind | None:
         return "parking"
     if allow and allow <= _RAIL:
         return "rail"
+    if allow and allow <= {"ship", "container", "drone", "aircraft"}:
+        return None
     return "car" if motor else "walk"
 
 
@@ -223,16 +225,11 @@ def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
 _DEBIAN_PACKAGES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
 # model, vClass and share in the traffic
 Mix = tuple[tuple[str, str, float], ...]
-TRIPS_SEED = 41  # plus the scene's seed: seed 1 has the traffic of the published figures
+TRIPS_SEED = 41  # plus the scene's seed
 _SEEDS = 2**31  # of SUMO
 _DATA = read_data("traffic", "sumo.toml")
 FIRST_MIX, FULL_MIX = (TypeAdapter(Mix).validate_python(mix) for mix in _DATA["mixes"].values())
 NETCONVERT: Mapping[str, tuple[str, ...]] = {k: tuple(v.split()) for k, v in _DATA["netconvert"].items()}
-FULL_MIX: Mix = (
-    *(("car", "passenger", 0.42), ("hatch", "passenger", 0.18), ("suv", "passenger", 0.17)),
-    *(("van", "delivery", 0.10), ("truck", "truck", 0.05), ("bus", "bus", 0.04)),
-    ("motorcycle", "motorcycle", 0.04),
-)
 
 
 @dataclass(frozen=True)

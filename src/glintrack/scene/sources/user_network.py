@@ -247,6 +247,7 @@ def _layout(
             (*buildings, *hood.buildings),
             (*wood, *hood.trees),
             (*parked, *hood.parked),
+            hedges=hood.hedges,
         )
     patches += lots.yards(blocks(streets, area), built, ground_rng)
     home = unary_union([built.buffer(_GARDEN_REACH_M), streets.pavement.buffer(6)]).intersection(area)
