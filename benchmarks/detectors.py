@@ -141,7 +141,7 @@ def detections_of(recording: Recording, detector: track.Detector) -> tuple[Found
         frame = replace(frame, grid=grid_of(frame, None), interval_s=interval_s, channel="pan")
         state = detector.start(frame) if state is None else state
         found = detector.detect(state, frame)
-        nobody = track.Association(np.zeros(len(found), bool), np.empty((0, 2)))
+        nobody = track.Association(np.zeros(len(found), bool))
         state, last_s = detector.update(state, frame, found, nobody), frame.time_s
         out.append(replace(found, detail=None))
     return out, (time.process_time() - began) / len(out)

@@ -196,7 +196,7 @@ def label_flight(recording: Recording, channel: str) -> Peaks:
         times_s.append(frame.time_s)
         if frame.time_s - times_s[0] >= SETTLED_S:
             parts.append(label_peaks(found.detail, frame.pose, truth, recording.extent_m))
-        nobody = Association(np.zeros(len(found), bool), np.empty((0, 2)))
+        nobody = Association(np.zeros(len(found), bool))
         state = detector.update(state, frame, found, nobody)
     return concatenate_peaks(parts)
 

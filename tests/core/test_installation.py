@@ -7,11 +7,16 @@ import sys
 import pytest
 
 from glintrack.core import installation as extras
-from glintrack.core.installation import MissingExtraError, install_line, require_extra
+from glintrack.core.installation import MissingExtraError, install_line, package_version, require_extra
 
 
 def test_a_module_that_is_there_is_imported():
     assert require_extra("json", "video", "write JSON") is json
+
+
+def test_the_version_of_a_package_that_is_missing_is_said():
+    assert package_version("numpy").count(".") >= 2
+    assert package_version("no-such-package") == "not installed"
 
 
 def test_a_missing_module_is_one_sentence(monkeypatch):

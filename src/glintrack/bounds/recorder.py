@@ -30,7 +30,7 @@ from glintrack.camera import project
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import BackgroundTask, map_threads
 from glintrack.ortho import intersect_terrain, on_ground
-from glintrack.render import Hits, Observer
+from glintrack.render import Observer
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor
 from glintrack.track.detect.binning import binning_factor
@@ -221,7 +221,6 @@ class BudgetRecorder:
             "length_m": truth["length_m"].values[visible],
             "speed_m_s": np.hypot(truth["east_speed_m_s"].values, truth["north_speed_m_s"].values)[visible],
             "visible_fraction": truth["visible_fraction"].values[visible],
-            "sunlit": _sunlit(frame.hits, ids),
             "paint": np.array([str(names[paints[i]]) if i in paints else "" for i in ids.tolist()], object),
         }
         return partial(
@@ -247,16 +246,3 @@ class _Electrons:
     measured: Array
     backgrounds: dict[str, tuple[PredictedBackground, Array]]
     factor: int
-
-
-def _sunlit(hits: Hits, ids: Array) -> Array:
-    """Mean share of the sun's light on the visible part of each vehicle; 0 if nothing is visible. [1]"""
-    if not len(ids):
-        return np.zeros(0)
-    order, met = np.sort(ids), hits.vehicle_id >= 0
-    where = np.clip(np.searchsorted(order, hits.vehicle_id[met]), 0, len(order) - 1)
-    same = order[where] == hits.vehicle_id[met]
-    weight = hits.weight[met][same]
-    part = np.bincount(where[same], weight, minlength=len(order))
-    light = np.bincount(where[same], weight * hits.sun_visible[met][same], minlength=len(order))
-    return (light / np.maximum(part, 1e-9))[np.searchsorted(order, ids)]

@@ -21,7 +21,7 @@ from glintrack.bounds.loss_budget import (
 from glintrack.bounds.recorder import BudgetRecorder
 from glintrack.case.build import build_scenario
 from glintrack.case.design import Case
-from glintrack.core.arrays import Array
+from glintrack.core.arrays import Array, is_at_time
 from glintrack.loop import case_navigation_errors, frame_rngs, true_frame_at
 from glintrack.render import Observer
 from glintrack.results.epoch import Epoch, TrueFrame
@@ -43,7 +43,6 @@ class FlightBudget:
 
     case: Case
     recorder: BudgetRecorder | None = None
-    _times_s: list[float] = field(default_factory=list)
     _truths: list[FrameTruth] = field(default_factory=list)
     # of each channel, frame by frame
     _scored: dict[str, list[Scored]] = field(default_factory=dict)
@@ -58,7 +57,6 @@ class FlightBudget:
         if self.recorder is None:
             self.recorder = _recorder(self.case, epoch.observer, true_frame)
         if epoch.channel == self.case.channels[0]:
-            self._times_s.append(epoch.time_s)
             self.recorder.take(_view(epoch.index, epoch.time_s, true_frame, epoch.observer))
             of_frame = true_frame.true_pose, true_frame.truth, true_frame.area
             self._truths.append(FrameTruth.of(epoch.time_s, *of_frame))
@@ -94,7 +92,7 @@ class FlightBudget:
     def _add_channel(self, channel: str, frames: list[FrameBudget], rows: xr.Dataset) -> None:
         """Add the stages of detector, oracle association and tracker to the measured frames."""
         scored = self._scored.get(channel, [])
-        times_s = np.array(self._times_s[: len(scored)])
+        times_s = np.array([truth.time_s for truth in self._truths[: len(scored)]])
         best = [
             dict(zip(truth.vehicle.tolist(), one.vehicle.tolist(), strict=True))
             for truth, one in zip(self._truths, scored, strict=False)
@@ -109,7 +107,7 @@ class FlightBudget:
                 score = np.array([one.get(i, -np.inf) for one in best], float)
                 tracked[i] = track_by_oracle(score, times_s, rules)
             if rows.sizes.get("row"):
-                now = rows["vehicle_id"].values[np.isclose(rows["time_s"].values, frame.time_s)]
+                now = rows["vehicle_id"].values[is_at_time(rows["time_s"].values, frame.time_s)]
             scores = np.array([best[frame.index][i] for i in ids], float)
             frame.scored["detector"] = Scored(scores, scored[frame.index].false)
             frame.tracked["tracker"] = np.isin(ids, now)

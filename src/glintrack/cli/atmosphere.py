@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
@@ -65,8 +64,6 @@ def plot(
         for column, quantity in enumerate(_QUANTITIES):
             axes = figure.add_subplot(grid[row, column], projection="polar")
             shown = plot_sky.fisheye(axes, dataset, value, quantity)
-            nearest = float(available[np.argmin(np.abs(available - value))])
-            axes.set_title(f"{quantity} at {nearest:.2f} µm")
             figure.colorbar(shown, ax=axes, shrink=0.8, label=plot_sky.LABELS[quantity])
     plot_sky.spectra(figure.add_subplot(grid[-1, :]), dataset)
     output = output or tables.with_suffix(".png")

@@ -92,7 +92,7 @@ def baseline(
     split: Annotated[Literal["train", "val", "test"], cli.option("Split to score on")] = "test",
     allow_outside_paths: cli.OutsidePathsOption = False,
 ) -> None:
-    """Score our detectors and classical ones with our tracker: means over a split."""
+    """Score the packaged detectors and tracker: means over a split."""
     console = cli.open_console()
     with cli.show_wait(console, "tracking"):
         found = score_baselines(dataset, split, BASELINES, allow_outside_paths)

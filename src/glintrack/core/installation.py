@@ -28,6 +28,14 @@ def read_data(*parts: str) -> dict[str, Any]:
     return tomllib.loads(data_file(*parts).read_text(encoding="utf-8"))
 
 
+def package_version(name: str) -> str:
+    """Version of an installed package, or ``not installed``."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
 def citation() -> str:
     """BibTeX entries of this version of the program, and of the paper that it implements."""
     return data_file("citation.bib").read_text(encoding="utf-8").replace("VERSION", VERSION)

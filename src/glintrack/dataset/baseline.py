@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import xarray as xr
 
@@ -109,11 +108,7 @@ def _track(
     found = {}
     for line in baselines:
         reports[line].extend(flush(pending[line]))
-        rows = as_rows((one.attrs["time_s"], one) for one in reports[line])
-        if not rows.sizes.get("row"):
-            names = ("time_s", "east_m", "north_m", "east_speed_m_s", "north_speed_m_s", "track_id")
-            rows = xr.Dataset({key: ("row", np.empty(0, int if "id" in key else float)) for key in names})
-        found[line] = rows
+        found[line] = as_rows((one.attrs["time_s"], one) for one in reports[line])
     return found
 
 

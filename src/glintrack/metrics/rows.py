@@ -120,7 +120,7 @@ def score_tables(
     if len(epochs):
         ids, place_m = _objects(truth, "vehicle_id")
         inside = _marked_inside(truth) & (area_m is None)
-        if not inside.any():
+        if area_m is not None or "inside" not in truth:
             for rows, area in zip(of_vehicles, areas, strict=True):
                 inside[rows] = contains(area, place_m[rows])
         every = vehicles_of(truth, ids, inside, moving_speed_m_s)

@@ -8,7 +8,6 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -16,6 +15,7 @@ from urllib.parse import quote
 import numpy as np
 import pandas as pd
 
+from glintrack.core.installation import VERSION
 from glintrack.core.schema import CHANNEL_WORDS
 from glintrack.report.page import flatten, in_code, read_terms, render_page, script_json
 from glintrack.study import analyse, read_results
@@ -199,8 +199,8 @@ def _notes(table: pd.DataFrame, source: Mapping[str, Any]) -> list[str]:
         count = int((table["status"] == status).sum())
         if count:
             notes.append(f"{count} of {len(table)} rows {words}.")
-    if source.get("glintrack") != version("glintrack"):
-        notes.append(f"Written by glintrack {source.get('glintrack')}, shown by {version('glintrack')}.")
+    if source.get("glintrack") != VERSION:
+        notes.append(f"Written by glintrack {source.get('glintrack')}, shown by {VERSION}.")
     return notes
 
 

@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from glintrack import metrics
-from glintrack.core.arrays import Array
+from glintrack.core.arrays import Array, is_at_time
 from glintrack.core.installation import require_extra
 from glintrack.io.atomic import temporary_path
 from glintrack.results.figures import MARKS
@@ -130,7 +130,7 @@ class Composite:
         recent = np.flatnonzero((t <= time_s + 1e-6) & (t >= time_s - _TAIL_S))
         places = self._pixels(self.tracks.isel(row=recent))
         kinds = track_kinds(self.tracks)[recent]
-        for k in np.flatnonzero(np.isclose(t[recent], time_s)):
+        for k in np.flatnonzero(is_at_time(t[recent], time_s)):
             colour = MARKS[kinds[k]]
             tail = places[ident[recent] == ident[recent[k]]]
             if len(tail) > 1:

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from glintrack import metrics, track
 from glintrack.case.area import ScoredArea
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
+from glintrack.core.installation import VERSION
 from glintrack.core.parallel import compilation
 from glintrack.core.records import Rows, ServedQueries, SpectralQuery
 
@@ -152,7 +152,7 @@ def collect(
         "case": case.name,
         "seed": case.seed,
         "area": area.kind,
-        "glintrack_version": version("glintrack"),
+        "glintrack_version": VERSION,
         "frames_asked": len(times_s),
         "frames_done": count,
         "interrupted": int(interrupted),

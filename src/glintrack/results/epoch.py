@@ -16,7 +16,7 @@ from glintrack.camera import Pose
 from glintrack.core.arrays import Array
 from glintrack.core.records import Radiance, ServedQueries
 from glintrack.ortho import intersect_terrain
-from glintrack.render import Hits, Observer, Outlines, Sky, outlines, vehicle_mask, visible_fraction
+from glintrack.render import Hits, Observer, Outlines, outlines, vehicle_mask, visible_fraction
 from glintrack.scene import VEHICLE_CLASSES, City, Snapshot
 from glintrack.sensor import Sensor, light_on_elements, smear
 
@@ -97,11 +97,6 @@ class Epoch:
     def city(self) -> City:
         """City of the scene."""
         return self.observer.city
-
-    @property
-    def sky(self) -> Sky:
-        """Sky of the scene."""
-        return self.observer.sky
 
 
 @dataclass(frozen=True)

@@ -105,6 +105,11 @@ class Film:
         self.pictures.update({(kind, index): data for kind, data in encoded.items()})
         self.times_s[index] = time_s
 
+    def remove(self, index: int) -> None:
+        """Remove the pictures of one frame, if there are any."""
+        self.times_s.pop(index, None)
+        self.pictures = {key: data for key, data in self.pictures.items() if key[1] != index}
+
     def index(self) -> dict:
         """Plain values for ``film.json``."""
         frames = sorted(self.times_s)

@@ -5,7 +5,6 @@ import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,7 +13,7 @@ import xarray as xr
 from PIL import Image
 
 from glintrack.case.design import Case
-from glintrack.core.installation import data_file, read_data
+from glintrack.core.installation import VERSION, data_file, read_data
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import check_netcdf, read_bytes, read_json
 from glintrack.results.film import picture_name, validate_film
@@ -164,8 +163,8 @@ def read_result(path: str | Path, tree: xr.DataTree | None = None) -> Result:
         if not _is_whole(picture):
             notes.append(f"pictures/{picture.name} is broken and not shown.")
     written_by = str(provenance.get("glintrack_version", ""))
-    if written_by and written_by != version("glintrack"):
-        notes.append(f"Written by glintrack {written_by}, shown by {version('glintrack')}.")
+    if written_by and written_by != VERSION:
+        notes.append(f"Written by glintrack {written_by}, shown by {VERSION}.")
     if provenance.get("interrupted"):
         done, count = provenance.get("frames_done", "?"), provenance.get("frames_asked", "?")
         notes.append(f"The flight was interrupted after {done} of {count} frames.")

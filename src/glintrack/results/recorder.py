@@ -88,7 +88,8 @@ class Recorder:
         if self.folder is not None and index in chosen:
             frames_folder = self.folder / "frames"
             frames_folder.mkdir(exist_ok=True)
-            path = frames_folder / f"{channel}_{image.attrs['time_s']:07.2f}s.tif"
+            decimals = 2 if self.case.flight.rate_hz <= 100 else 4
+            path = frames_folder / f"{channel}_{image.attrs['time_s']:07.{decimals}f}s.tif"
             write_frame(path, image, city.crs, (city.origin_easting_m, city.origin_northing_m))
 
     def record(self, epoch: Epoch) -> None:
@@ -129,7 +130,7 @@ class Recorder:
         time_s, (true_pose, reported_pose) = float(first_image.attrs["time_s"]), self._poses[last]
         light = observer.radiance(observer.observe(observer.city.at(time_s), true_pose).hits)
         self.colour = self._natural_colour(light, reported_pose)
-        self.film.times_s.pop(frames, None)  # half a frame
+        self.film.remove(frames)  # half a frame
         if last not in self.film.times_s and self.film.frames:
             self.film.add(last, time_s, first_image, self._ground_colour(light, reported_pose))
 
@@ -164,8 +165,11 @@ class Recorder:
             "extent_m": (join("extent"), "m"),
             "contrast": (join("contrast"), "1"),
         }
-        if all(one.log_likelihood_ratio is not None for _, one in found):
-            columns["log_likelihood_ratio"] = (join("log_likelihood_ratio"), "1")
+        ratios = [
+            one.log_likelihood_ratio for _, one in found if len(one) and one.log_likelihood_ratio is not None
+        ]
+        if sum(map(len, ratios)) == sum(len(one) for _, one in found):
+            columns["log_likelihood_ratio"] = (np.concatenate([np.empty(0), *ratios]), "1")
         return xr.Dataset({k: ("row", v, {"units": unit}) for k, (v, unit) in columns.items()})
 
     def boxes(self) -> xr.Dataset:

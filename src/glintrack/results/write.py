@@ -3,7 +3,6 @@
 import json
 import platform
 from collections.abc import Hashable, Iterator, Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from matplotlib.figure import Figure
 
 from glintrack.atmosphere import solve_tables
 from glintrack.case.design import Case
+from glintrack.core.installation import package_version
 from glintrack.core.records import Extent
 from glintrack.core.schema import CHANNEL_WORDS
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
@@ -219,6 +219,6 @@ def _provenance(tree: xr.DataTree) -> str:
     def plain(attrs: Mapping[Hashable, Any]) -> dict[str, Any]:
         return {str(k): v.item() if isinstance(v, np.generic) else v for k, v in attrs.items()}
 
-    versions = {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}
+    versions = {"python": platform.python_version(), **{name: package_version(name) for name in _LIBRARIES}}
     scores = {name: plain(tree[name].attrs) for name in LOOP_STYLES if name in tree.children}
     return to_toml({**plain(tree.attrs), **scores, "versions": versions})

@@ -382,7 +382,7 @@ def surrogates(
         return pd.DataFrame(), pd.DataFrame()
     names = surface.axes
     at, score = mine[list(names)].to_numpy(dtype=float), mine[response].to_numpy(dtype=float)
-    design = mine["point"].to_numpy() // max(mine["replicate"].nunique(), 1)
+    design = mine["point"].to_numpy() // max(done["replicate"].nunique(), 1)
     predicted, low, high = cross_validate(names, at, score, design, even_in_log).T
     if not np.isfinite(predicted).all():
         return pd.DataFrame(), pd.DataFrame()

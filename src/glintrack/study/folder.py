@@ -6,7 +6,6 @@ import os
 import shutil
 from collections.abc import Iterable, Mapping
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import xarray as xr
 
 from glintrack.case.design import Case
 from glintrack.case.quantities import ground_view
+from glintrack.core.installation import VERSION
 from glintrack.io import atomic, netcdf
 from glintrack.io.atomic import content_hash
 from glintrack.io.toml import to_toml
@@ -82,7 +82,7 @@ class StudyFolder:
                     "format": FORMAT,
                     "study": plan.key,
                     "name": plan.design.name,
-                    "glintrack": version("glintrack"),
+                    "glintrack": VERSION,
                     "source": source_key(),
                     "points": len(plan.points),
                     "cases": len(plan.cases),
@@ -105,9 +105,9 @@ class StudyFolder:
         if not {p.name for p in self.path.iterdir()} - {".lock", "cases"}:
             return
         head = self.head()
-        if head["glintrack"] != version("glintrack"):
+        if head["glintrack"] != VERSION:
             raise ValueError(
-                f"`output` must be of glintrack {version('glintrack')}; got {self.path} of glintrack "
+                f"`output` must be of glintrack {VERSION}; got {self.path} of glintrack "
                 f"{head['glintrack']}. Choose another -o."
             )
         if head.get("source") != source_key():
@@ -198,7 +198,7 @@ class StudyFolder:
         folder = self.path / "failed" / case_key
         folder.mkdir(parents=True, exist_ok=True)
         atomic.write_text(folder / "case.toml", to_toml(case))
-        atomic.write_text(folder / f"attempt-{number}.txt", error)
+        atomic.write_text(folder / f"attempt-{number:03d}.txt", error)
 
     def remove_failure(self, case_key: str) -> None:
         """Remove tracebacks of a case that is tried again."""
@@ -241,7 +241,7 @@ def provenance(plan: Plan) -> dict[str, Any]:
     """Provenance of the results, the same on every host."""
     design = plan.design.model_dump(mode="json", exclude_none=True)
     axes = list(dict.fromkeys(name for point in plan.points for name in point.levels))
-    of = {"study": plan.key, "glintrack": version("glintrack"), "source": source_key()}
+    of = {"study": plan.key, "glintrack": VERSION, "source": source_key()}
     return {**of, "axes": axes, "design": design}
 
 

@@ -29,7 +29,10 @@ from glintrack.study.plan import digest, without_paths
 _BYTES_PER_ELEMENT, _GROWTH = 67.0, 0.33
 _MIN_FREE_SHARE = 0.1  # of the disk, below which nothing is written
 _HITS = ".hits"
-_TRACING_CODE = ("scene", "render", "flight", "camera.py", "core", "data/materials.toml", "data/traffic")
+_TRACING_CODE = (
+    "scene", "render", "flight", "camera.py", "core", "io", "data/materials.toml", "data/vehicles.toml",
+    "data/cities.toml", "data/traffic",
+)  # fmt: skip
 _TRACING_PACKAGES = ("embreex", "eclipse-sumo")
 
 

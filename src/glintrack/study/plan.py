@@ -5,7 +5,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from glintrack.case.check import assess_case
 from glintrack.case.design import Case, read_case
 from glintrack.case.packaged import PACKAGED_CASES, find_case
 from glintrack.core.designs import MAX_DEPTH
-from glintrack.core.installation import VERSION
+from glintrack.core.installation import VERSION, package_version
 from glintrack.core.schema import MIN_SCORED_S
 from glintrack.flight import FlightDesign
 from glintrack.io.atomic import content_hash
@@ -341,8 +340,5 @@ def digest(parts: Iterable[str | Path], packages: Iterable[str], without: Iterab
                 found.append(f"{file.relative_to(_PACKAGE).as_posix()} ")
                 found.append(bytes.fromhex(content_hash(file.read_bytes())))
     for name in packages:
-        try:
-            found.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            found.append(f"no {name}")
+        found.append(f"{name} {package_version(name)}")
     return content_hash(found)

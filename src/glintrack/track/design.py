@@ -27,8 +27,10 @@ _IGNORED_KEYS = {
 }
 
 
-# Frames and time [s] in which a detector learns the background, before it detects anything.
-LEARNING = {"mosaic": (2, 0.75), "median-motion": (2, 0.35)}
+WARM_UP, WARM_UP_S = 2, 0.75  # frames and time in which `mosaic` learns the background
+MEDIAN_SPACING_S = (
+    0.35  # between frames that `median-motion` stores: at 25 Hz nothing moves from one to the next
+)
 
 
 class DetectDesign(Design):
@@ -254,9 +256,9 @@ class TrackDesign(Design):
 
     def count_learning_frames(self, rate_hz: float) -> int:
         """Count the first frames of a case in which the background is learnt, and no track can exist."""
-        name = self.detect.detector
-        frames, duration_s = LEARNING["mosaic" if name == "auto" else name]
-        return max(frames, math.ceil(duration_s * rate_hz - 1e-9))
+        if self.detect.detector == "median-motion":
+            return 1 + math.ceil(MEDIAN_SPACING_S * rate_hz - 1e-9)
+        return max(WARM_UP, math.ceil(WARM_UP_S * rate_hz - 1e-9))
 
     def effective(self, has_likelihood_ratio: bool) -> "TrackDesign":
         """Design in use for one kind of detections, for the tracker and for what is compared with it.

@@ -71,7 +71,6 @@ def track_detections(
     table: DetectionTable,
     design: TrackDesign | None = None,
     area_m: tuple[float, float, float, float] | None = None,
-    seed: int = 0,
 ) -> TrackedRows:
     """Track detections, epoch by epoch.
 
@@ -84,8 +83,6 @@ def track_detections(
     area_m
         West, south, east, north; targets that leave it are deleted. By default around all detections but
         outliers, which are farther from the middle half than its own size.
-    seed
-        Seed of the tracker.
     """
     design = DETECTIONS_DESIGN if design is None else design
     width = max(table.features.shape[1], 2)
@@ -104,7 +101,7 @@ def track_detections(
     epochs = table.epochs()
 
     def reports() -> Iterator[tuple[float, xr.Dataset]]:
-        state = start(design, seed, features=width)
+        state = start(design, features=width)
         for time_s, rows in epochs:
             mine = rows[inside[rows]]
             found = Detections(
@@ -117,7 +114,7 @@ def track_detections(
 
 
 def track_frames(
-    frames: Iterable[tuple[float, xr.Dataset]], design: TrackDesign | None = None, seed: int = 0
+    frames: Iterable[tuple[float, xr.Dataset]], design: TrackDesign | None = None
 ) -> Iterator[tuple[float, xr.Dataset]]:
     """Track rectified frames one after the other, without storing them.
 
@@ -125,17 +122,27 @@ def track_frames(
     ----------
     frames
         Time [s] and Dataset of the schema ``image``.
-    design, seed
-        See `start`; `FRAMES_DESIGN` if no design is given.
+    design
+        `FRAMES_DESIGN` if none is given. Tracks are reported by confirmation.
 
     Yields
     ------
     Time [s] and the tracks of that frame, as a Dataset of the schema ``tracks``. With
     ``reporting.history`` earlier positions of its newly confirmed tracks come before it: Datasets of their
     own times, with ``tentative`` 1.
+
+    Raises
+    ------
+    ValueError
+        If the design reports by existence, whose model holds for simulated frames with raw mosaics.
     """
     design = (FRAMES_DESIGN if design is None else design).replace({"query.policy": "none"})
-    state, history = start(design, seed), History()
+    if design.reporting.uses_existence:
+        raise ValueError(
+            "`track.reporting.method` must be 'confirmation' for frames of your own; got 'existence', which "
+            "was fitted to simulated raw mosaics."
+        )
+    state, history = start(design), History()
     for time_s, image in frames:
         state, _ = step(state, Frame(time_s, image))
         tracks = report(state)

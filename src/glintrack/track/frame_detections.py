@@ -77,11 +77,12 @@ class TrackerState:
     leaves: hypotheses.Leaves | None = None
     duplicates: Duplicates = field(default_factory=no_duplicates)
     flow: Flow = field(default_factory=no_flow)
+    has_ratios: bool = True
 
     @property
     def effective_design(self) -> TrackDesign:
-        """Design in use for the detections of the last frame."""
-        return self.design.effective(self.detections.log_likelihood_ratio is not None)
+        """Design in use for the detections so far."""
+        return self.design.effective(self.has_ratios)
 
 
 @dataclass(frozen=True)
@@ -152,12 +153,9 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
     design, interval_s = state.design, _interval(state, frame.time_s)
     grid = grid_of(frame, state.grid)
     targets = _predict_state(state, motion_model(design, interval_s))
-    on_map = targets.confirmed & (targets.unseen_s <= design.initiation.coast_s)
-    if state.leaves is not None:  # only the best hypothesis steers the search
-        on_map &= state.leaves.chosen
     frame = replace(
         frame, grid=grid, channel=design.detect.channel, interval_s=interval_s,
-        expected_m=targets.position[on_map], slow_m=targets.position[is_slow(targets)],
+        slow_m=targets.position[is_slow(targets)],
     )  # fmt: skip
     detector = state.detector or detector_of(design.detect, frame)
     memory = detector.start(frame) if state.memory is None else state.memory

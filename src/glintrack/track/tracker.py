@@ -112,10 +112,9 @@ def step(
             where = where - np.array(seen.found.displacement_m)
         spectral = identity.attach(where, values, seen.found.position, identity.ATTACH_RADIUS_M)
     new, explained = _step(state, seen, spectral, ground)
-    measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
     own = np.zeros(len(explained), bool)
     own[seen.order] = explained
-    memory = detector.update(seen.memory, seen.frame, seen.given, Association(own, measured))
+    memory = detector.update(seen.memory, seen.frame, seen.given, Association(own))
     found = replace(new.detections, detail=None)  # the detector's notes are large
     return query_predictions(replace(new, detector=detector, memory=memory, detections=found), column_of)
 
@@ -180,7 +179,8 @@ def _step(
 ) -> tuple[TrackerState, Bool[Array, "detection"]]:
     """State after an epoch's detections, and the mask of those that confirmed tracks explain."""
     found, grid, leaves = seen.found, seen.grid, state.leaves
-    design = state.design.effective(found.log_likelihood_ratio is not None)
+    has_ratios = found.log_likelihood_ratio is not None if len(found) else state.has_ratios
+    design = state.design.effective(has_ratios)
     uses_existence = design.reporting.uses_existence
     if len(found) and state.design.reporting.uses_existence and not uses_existence:
         warnings.warn(  # once, by Python's own filter
@@ -223,6 +223,6 @@ def _step(
         state, frame=state.frame + 1, time_s=seen.time_s, interval_s=seen.interval_s, grid=grid,
         clutter=clutter.update(clutter.map_of(state, grid), grid, found.position, explained, share),
         targets=targets, next_id=next_id, population=population, ground=before.ground, detections=found,
-        leaves=leaves, duplicates=duplicates, flow=flow,
+        leaves=leaves, duplicates=duplicates, flow=flow, has_ratios=has_ratios,
     )  # fmt: skip
     return new, explained

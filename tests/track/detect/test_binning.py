@@ -86,9 +86,7 @@ def strongest(frames):
         if len(detail.ratio):
             best = np.argmax(detail.ratio)
             out.append((detail.peaks.features[best, 1], detail.ratio[best], *detail.place_m[best]))
-        state = detector.update(
-            state, frame, found, Association(np.zeros(len(found), bool), np.empty((0, 2)))
-        )
+        state = detector.update(state, frame, found, Association(np.zeros(len(found), bool)))
     return np.array(out[-4:])
 
 

@@ -51,7 +51,7 @@ def detect(frames):
         frame = track.Frame(INTERVAL_S * k, image(values, extent_of(values), 1.0))
         state = detector.start(frame) if state is None else state
         found = detector.detect(state, frame)
-        nobody = track.Association(np.zeros(len(found), bool), np.empty((0, 2)))
+        nobody = track.Association(np.zeros(len(found), bool))
         state = detector.update(state, frame, found, nobody)
         out.append(found)
     return out
@@ -244,12 +244,10 @@ def test_frames_that_come_fast_are_not_all_remembered():
         frame = track.Frame(0.04 * k, image(values, EXTENT, 1.0))
         state = detector.start(frame) if state is None else state
         found = detector.detect(state, frame)
-        state = detector.update(
-            state, frame, found, track.Association(np.zeros(len(found), bool), np.empty((0, 2)))
-        )
+        state = detector.update(state, frame, found, track.Association(np.zeros(len(found), bool)))
     assert state is not None
     times = [one.times_s[0] for one in state.past]
-    assert np.diff(times).min() >= median_motion.SPACING_S - 1e-9
+    assert np.diff(times).min() >= median_motion.MEDIAN_SPACING_S - 1e-9
 
 
 @pytest.mark.parametrize("shows", ["first", "last"])

@@ -25,7 +25,6 @@ from tests.track.detect import mosaic_flight as flight
 from tests.track.moving_blobs import image
 
 DETECTOR = MosaicDetector(DetectDesign())
-NO_TRACKS = np.empty((0, 2))
 
 
 def fly(frames, detector=DETECTOR):
@@ -34,7 +33,7 @@ def fly(frames, detector=DETECTOR):
     for frame in frames:
         found = detector.detect(state, frame)
         out.append(found)
-        state = detector.update(state, frame, found, Association(np.zeros(len(found), bool), NO_TRACKS))
+        state = detector.update(state, frame, found, Association(np.zeros(len(found), bool)))
     return out, state
 
 
@@ -224,7 +223,7 @@ def test_nothing_leaks_from_later_frames_and_states_stay_as_they_are():
         np.testing.assert_array_equal(a.log_likelihood_ratio, b.log_likelihood_ratio)
     _, state = fly(frames[:6])
     once = DETECTOR.detect(state, frames[6])
-    DETECTOR.update(state, frames[6], once, Association(np.zeros(len(once), bool), NO_TRACKS))
+    DETECTOR.update(state, frames[6], once, Association(np.zeros(len(once), bool)))
     np.testing.assert_array_equal(once.position, DETECTOR.detect(state, frames[6]).position)
 
 
@@ -317,7 +316,7 @@ def test_a_state_stays_as_it_is():
     _, state = fly(frames[:8])
     before = [one.copy() for one in state.ground.maps]
     found = DETECTOR.detect(state, frames[8])
-    DETECTOR.update(state, frames[8], found, Association(np.zeros(len(found), bool), NO_TRACKS))
+    DETECTOR.update(state, frames[8], found, Association(np.zeros(len(found), bool)))
     assert all(np.array_equal(one, was) for one, was in zip(state.ground.maps, before, strict=True))
 
 

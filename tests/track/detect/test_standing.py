@@ -29,7 +29,7 @@ def fly(frames, is_slow):
         frame = replace(frame, slow_m=STOPPED if is_slow(frame.time_s) else np.empty((0, 2)))
         found = DETECTOR.detect(state, frame)
         out.append(found)
-        nobody = Association(np.zeros(len(found), bool), np.empty((0, 2)))
+        nobody = Association(np.zeros(len(found), bool))
         state = DETECTOR.update(state, frame, found, nobody)
     return out
 

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 
-from glintrack.core.arrays import Array
+from glintrack.core.arrays import Array, is_at_time
 from glintrack.core.installation import read_data
 from glintrack.core.records import Extent
 from glintrack.core.schema import CHANNEL_WORDS
@@ -85,7 +85,7 @@ def show_tracks(ax: Axes, rows: xr.Dataset, time_s: float, tail_s: float = 8.0, 
     t, ident = rows["time_s"].values, rows["track_id"].values
     position = np.stack([rows["east_m"].values, rows["north_m"].values], axis=1)
     recent = (t <= time_s + 1e-9) & (t >= time_s - tail_s)
-    now = np.isclose(t, time_s)
+    now = is_at_time(t, time_s)
     kinds = track_kinds(rows)
     for kind, (shape, size, name) in _SHAPES.items():
         chosen = now & (kinds == kind)
@@ -126,11 +126,11 @@ def show_legend(ax: Axes) -> None:
 
 def missed_rows(truth: xr.Dataset, rows: xr.Dataset, time_s: float) -> Array:
     """Return True for each row of a truth at a time with a scored vehicle without a true track."""
-    now = np.isclose(truth["time_s"].values, time_s)
+    now = is_at_time(truth["time_s"].values, time_s)
     if "inside" in truth:
         now &= truth["inside"].values.astype(bool)
     if {"vehicle_id", "valid"} <= set(rows.variables):
-        on = np.isclose(rows["time_s"].values, time_s) & (rows["valid"].values > 0)
+        on = is_at_time(rows["time_s"].values, time_s) & (rows["valid"].values > 0)
         now &= ~np.isin(truth["vehicle_id"].values, rows["vehicle_id"].values[on])
     return now
 

@@ -73,12 +73,9 @@ class Association:
     ----------
     explained
         Mask of the detections that a confirmed track explains, in the detector's order.
-    measured_m
-        Positions of confirmed tracks that were measured in this frame. [m]
     """
 
     explained: Bool[Array, "detection"]
-    measured_m: Float[Array, "track 2"]
 
 
 def no_detections() -> Detections:

@@ -65,10 +65,8 @@ class Frame:
         Channel of the design: ``pan``, ``dolp`` or ``all``. The tracker sets it.
     interval_s
         Time since the frame before, 0 for the first. The tracker sets it. [s]
-    expected_m
-        Predicted positions of confirmed tracks in this frame. The tracker sets it. [m]
     slow_m
-        Those of confirmed tracks that are slow, or stand, after a drive. The tracker sets it. [m]
+        Predicted positions of confirmed tracks that moved and are now slow or stand. The tracker sets it. [m]
     """
 
     time_s: float
@@ -82,7 +80,6 @@ class Frame:
     grid: Grid | None = None
     channel: str = "pan"
     interval_s: float = 0.0
-    expected_m: Float[Array, "track 2"] = field(default_factory=lambda: np.empty((0, 2)))
     slow_m: Float[Array, "slow 2"] = field(default_factory=lambda: np.empty((0, 2)))
 
     @property

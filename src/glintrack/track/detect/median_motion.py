@@ -21,7 +21,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from glintrack.core.arrays import Array
 from glintrack.io.times import MAX_STEP_S
-from glintrack.track.design import DetectDesign
+from glintrack.track.design import MEDIAN_SPACING_S, DetectDesign
 from glintrack.track.detect import registration, sliding_median
 from glintrack.track.detect.detections import Association, Detections, no_detections
 from glintrack.track.detect.footprint import Windows, footprints, local_quantile, window_means
@@ -30,7 +30,6 @@ from glintrack.track.detect.straight_candidates import StraightCandidates, find_
 
 FRAMES = 4  # in which a vehicle is searched along its motion; three must contain it
 WINDOW = 6  # frames in a median: more include parallax, fewer a queue
-SPACING_S = 0.35  # between stored frames: at 25 Hz nothing moves from one to the next
 FOOTPRINT_M = (4.6, 2.6)
 CAP = 6.0  # standard deviations: a glint counts as much as a car
 CLUTTER_M, CLUTTER_PX = 40.0, 40  # least side of the tiles in which the strength of clutter is taken
@@ -90,7 +89,8 @@ class MedianMotionDetector:
     def detect(self, state: MotionMemory, frame: Frame) -> Detections:
         """Detect vehicles that move straight through this frame and two before it.
 
-        There are none in the first two frames, also after a pause, nor in a frame that repeats the last one.
+        There are none before two frames that are `MEDIAN_SPACING_S` apart are stored, also after a pause, nor
+        in a frame that repeats the last one.
         """
         if state.past and frame.time_s - state.past[-1].times_s[-1] > MAX_STEP_S:
             state = MotionMemory(state.grid)
@@ -102,7 +102,7 @@ class MedianMotionDetector:
         planes, displacement_m = _register(state, frame, seen)
         now = PlacedFrame((frame.time_s,), planes)
         past, memory = (*state.past, now)[-WINDOW:], state
-        if not state.past or frame.time_s - state.past[-1].times_s[0] >= SPACING_S:
+        if not state.past or frame.time_s - state.past[-1].times_s[0] >= MEDIAN_SPACING_S:
             memory = replace(state, past=past[-WINDOW + 1 :], seen=seen)
         found = _nothing(memory)
         if len(past) < 3:
@@ -137,7 +137,7 @@ def _read_plane(design: DetectDesign, frame: Frame, name: str) -> Float[Array, "
 def _possible_ages(past: PlacedFrame, time_s: float) -> list[float]:
     """Possible ages of a frame: one, or two if it was written more than once. [s]"""
     first, last = (time_s - t for t in (past.times_s[0], past.times_s[-1]))
-    return [first] if last == first or last < SPACING_S else [last, first]
+    return [first] if last == first or last < MEDIAN_SPACING_S else [last, first]
 
 
 def _nothing(memory: MotionMemory) -> Detections:

@@ -15,7 +15,7 @@ from scipy.ndimage import binary_dilation, maximum_filter
 
 from glintrack.core.arrays import Array
 from glintrack.track.calibration import read_calibration
-from glintrack.track.design import LEARNING, DetectDesign
+from glintrack.track.design import WARM_UP, WARM_UP_S, DetectDesign
 from glintrack.track.detect.binning import bin_frame, frame_binning
 from glintrack.track.detect.detections import Association, Detections, no_detections
 from glintrack.track.detect.footprint import footprints, window_means
@@ -54,7 +54,6 @@ SPACING_S = 0.45  # minimum time between earlier frames that count: a car has th
 LAYERS = 3  # earlier frames that may support a peak
 FIRST_FRAMES = 4  # from which the ground map is rebuilt
 RESTLESS_S, MAX_RESTLESS = 6.0, 2.0
-WARM_UP, WARM_UP_S = LEARNING["mosaic"]  # frames and time before the first detections
 MIN_SHARE = 1e-6  # of confirmation: without it all readings have equal weights
 MASK_RATIO, MASK_REACH_M, MASK_S = 1.5, 3.0, 2.0
 FULL_SHARE = 1 - math.exp(-1)  # that a mask has after its time
