@@ -111,7 +111,7 @@ def information_reduction(detection_probability: float, clutter: float, rng: np.
     Raises
     ------
     ValueError
-        If the probability is none, or the clutter negative.
+        If the probability is not within 0 and 1, or the clutter is negative.
     """
     if not 0 <= detection_probability <= 1:
         raise ValueError(f"`detection_probability` must lie within 0 and 1; got {detection_probability:g}.")

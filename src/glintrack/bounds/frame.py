@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from glintrack.bounds.predictor import PastFrame
@@ -89,7 +89,7 @@ def full_electrons(sensor: Sensor) -> float:
     return min(float(design.full_well_e), (2.0**design.bits - 1) * float(design.electrons_per_count))
 
 
-def vehicles_on(hits: Hits) -> Float[Array, "row column"]:
+def vehicles_on(hits: Hits) -> Int[Array, "row column"]:
     """Highest id of the vehicles that the rays of each element hit; −1 for none."""
     return np.maximum.reduceat(hits.vehicle_id, hits.first[:-1]).reshape(hits.rows, hits.columns)
 
@@ -127,7 +127,7 @@ def _median_range(start, stop, first, weight, range_m, out):
 
 
 def traffic_mask(
-    on: Float[Array, "row column"], tall: Array, camera: Camera, pose: Pose, sun: Float[Array, "3"]
+    on: Int[Array, "row column"], tall: Array, camera: Camera, pose: Pose, sun: Float[Array, "3"]
 ) -> Bool[Array, "row column"]:
     """Elements with vehicles or their shadows: silhouettes, extended along the shadow and dilated.
 

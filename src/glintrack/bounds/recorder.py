@@ -35,7 +35,7 @@ from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor
 from glintrack.track.detect.binning import binning_factor
 
-POSITIONS_EVERY = 4  # interval of the measured frames with information on positions: a third of the cost
+POSITIONS_EVERY = 4  # interval of the measured frames with information on positions
 _TALL_M = 2.2
 _BORDER_M = 12.0  # about the window: half a template, and the navigation error
 

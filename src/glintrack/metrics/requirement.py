@@ -42,7 +42,7 @@ class Requirement:
     limit
         Limit in the score's unit.
     channel
-        Tracking channel; by default the one with the most vehicles under track.
+        Tracking channel; by default the one with the highest completeness.
     """
 
     score: str
@@ -54,7 +54,7 @@ class Requirement:
         """Raise a ValueError if the channel is none of these."""
         if self.channel not in (None, *channels):
             known = ", ".join(channels)
-            raise ValueError(f"`--require` must name a channel flown ({known}); got {self.channel!r}.")
+            raise ValueError(f"`--require` must name a channel of the case ({known}); got {self.channel!r}.")
 
     def __str__(self) -> str:
         """Return the text of the requirement."""

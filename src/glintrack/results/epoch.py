@@ -60,7 +60,7 @@ class TrueFrame:
     area: metrics.Area
 
     def planes_with(self, observer: Observer, again: Hits) -> Float[Array, "plane row column"]:
-        """Planes with the elements with_new that were traced ``again``."""
+        """Planes with the elements that were traced ``again``."""
         elements = np.flatnonzero(again.rays)
         row, column = np.divmod(elements, again.columns)
         shown = observer.partial_radiance(again, self.hits)

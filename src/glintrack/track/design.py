@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from glintrack.core.designs import Design
 from glintrack.track.calibration import read_calibration
 
-# Initiation with existence reporting: generous, since reporting decides. Chosen with the existence model.
+# Initiation with existence reporting: generous, since reporting decides.
 EXISTENCE_INITIATION = {"rules": "existence", "confirm_score": 2.0}
 _CONFIRMATION_KEYS = (
     "rules", "confirm_score", "confirm_hits", "confirm_window", "confirm_min_age_s", "confirm_travel_m",

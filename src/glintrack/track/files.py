@@ -52,7 +52,7 @@ class TrackedRows:
     Parameters
     ----------
     rows
-        One row per confirmed track and epoch, coasted ones included.
+        One row per confirmed track and epoch; coasted ones too, unless the design leaves them out.
     epochs
         Number of epochs.
     outside

@@ -16,7 +16,7 @@ from glintrack.core import schema
 from glintrack.core.arrays import Array
 
 ATTACH_RADIUS_M = 1.5  # from the queried point to the nearest detection, to which the spectrum belongs
-PRIOR_SPECTRA = 20.0  # weight of the design's spread against what one track's spectra show
+PRIOR_SPECTRA = 20.0  # weight of `WITHIN_SPREAD` against what one track's spectra show
 WITHIN_SPREAD = 0.35  # prior spread of one vehicle's spectra relative to that of all vehicles'
 RIDGE = 1e-4  # least variance of a measured log radiance (1 %)
 BINS = 8  # spectral bins, which are the features

@@ -1,7 +1,6 @@
 """The tracker: frames and queried spectra in, tracks and the next queries out.
 
-Its whole state is a frozen record of arrays; `step` returns a new one. Tracks are confirmed by log-likelihood
-ratio and M of N. Detections are assigned one to one at least cost. The tracker never sees the truth.
+Its whole state is a frozen record of arrays; `step` returns a new one. The tracker never sees the truth.
 """
 
 import math

@@ -1,1 +1,1 @@
-"""Detectors, one file each, and what they take and give (``detector``); by name in ``detectors``."""
+"""Detectors, one file each, and what they take and give (``detector``); by name in `detector.DETECTORS`."""

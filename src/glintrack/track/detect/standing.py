@@ -3,9 +3,8 @@
 Change detection takes a vehicle that stands for a part of the ground. The tracker knows where its slow
 vehicles are. As long as such a place differs from its surroundings, the map of the ground below is kept from
 the time before the vehicle came, for `hold_s` at most, and the change that remains there is the vehicle. A
-place that looks like its surroundings is empty: change there is a hole that a vehicle left in the map.
-
-The constants in ``data/calibration/mosaic.toml`` were chosen by hand on three flights over `junction`.
+place that looks like its surroundings is empty: change there is a hole that a vehicle left in the map. The
+constants are in ``data/calibration/mosaic.toml``.
 """
 
 import math
