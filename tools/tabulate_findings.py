@@ -56,9 +56,10 @@ def table1_rows() -> dict[tuple[str, str, str, str], Row]:
 
 def standard() -> Iterator[str]:
     """Tabulate the scores of each channel in the standard case."""
-    columns = {"tracked_per_km2": 1, "completeness_visible": 3, "custody": 3, "purity": 3, "false_per_km2": 1}
-    yield "| | tracked per km² | of visible | custody | purity | false tracks per km² |"
-    yield "|" + " --- |" * 6
+    columns = {"tracked_per_km2": 1, "completeness_visible": 3, "custody": 3, "same_track_after_stop": 2}
+    columns |= {"purity": 3, "false_per_km2": 1}
+    yield "| | tracked per km² | of visible | custody | same id after a stop | purity | false per km² |"
+    yield "|" + " --- |" * 7
     found = {(row["point"], row["channel"], row["response"]): row for row in rows_of("standard_points")}
     sensors = [(name, "adaptive", channel) for channel, name in CHANNELS.items()]
     for name, point, channel in (*sensors, ("all elements pan", "all pan", "pan")):
