@@ -97,7 +97,8 @@ class Waypoints:
 
 ENU = ("east_m", "north_m", "up_m")
 GEOGRAPHIC = ("longitude_deg", "latitude_deg", "altitude_m")
-MAX_DISTANCE_M, _MAX_TIME_S = 1e7, 1e11
+MAX_DISTANCE_M = 1e7  # from the origin of a scene
+_MAX_PLACE_M, _MAX_TIME_S = 1e8, 1e11  # of any projection
 ATTITUDE = ("heading_deg", "roll_deg", "pitch_deg")
 ORDERS = ("heading-roll-pitch", "yaw-pitch-roll")
 _SAME_ATTITUDE_RAD = 1e-4  # a pixel of 12 µm behind a lens of 120 mm
@@ -148,6 +149,10 @@ def read_waypoints(
         found = readers[path.suffix.lower()](path, to_enu, datum_m, start_s)
     except ValueError as error:
         raise ValueError(plain(error, 500)) from error
+    if np.abs(found.place_m).max(initial=0) > _MAX_PLACE_M:
+        raise ValueError(
+            f"`waypoint_file` must have coordinates within ±{_MAX_PLACE_M:g} m; got {path.name}."
+        )
     if found.time_s is not None and np.abs(found.time_s).max(initial=0) > _MAX_TIME_S:
         raise ValueError(f"`waypoint_file` must have times within ±{_MAX_TIME_S:g} s; got {path.name}.")
     return found

@@ -198,7 +198,7 @@ class StudyFolder:
         folder = self.path / "failed" / case_key
         folder.mkdir(parents=True, exist_ok=True)
         atomic.write_text(folder / "case.toml", to_toml(case))
-        atomic.write_text(folder / f"attempt-{number:03d}.txt", error)
+        atomic.write_text(folder / f"attempt-{number}.txt", error)
 
     def remove_failure(self, case_key: str) -> None:
         """Remove tracebacks of a case that is tried again."""
@@ -206,7 +206,8 @@ class StudyFolder:
 
     def failure(self, case_key: str) -> str | None:
         """Last line of the last traceback of a case; None without one."""
-        found = sorted((self.path / "failed" / case_key).glob("attempt-*.txt"))
+        attempts = (self.path / "failed" / case_key).glob("attempt-*.txt")
+        found = sorted(attempts, key=lambda path: int(path.stem.removeprefix("attempt-")))
         return found[-1].read_text(encoding="utf-8").strip().splitlines()[-1] if found else None
 
 
