@@ -75,10 +75,10 @@ def build_scenario(case: Case) -> Scenario:
     check_recorded(case.flight, city.duration_s)
     tables = solve_tables(case.atmosphere)
     origin_m = (city.origin_easting_m, city.origin_northing_m)
-    path = case.flight
-    if path.waypoint_datum_m is None:
-        path = path.replace({"waypoint_datum_m": city.origin_height_m})
-    flight = build_flight(path, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
+    design = case.flight
+    if design.waypoint_datum_m is None:
+        design = design.replace({"waypoint_datum_m": city.origin_height_m})
+    flight = build_flight(design, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
     sky = unpack_sky(tables, flight.mean_altitude_m)
     sensor = build_sensor(case.sensor, sky.wavelength_um)
     observer = Observer(

@@ -28,9 +28,7 @@ _IGNORED_KEYS = {
 
 
 WARM_UP, WARM_UP_S = 2, 0.75  # frames and time in which `mosaic` learns the background
-MEDIAN_SPACING_S = (
-    0.35  # between frames that `median-motion` stores: at 25 Hz nothing moves from one to the next
-)
+MEDIAN_SPACING_S = 0.35  # between frames that `median-motion` stores: at 25 Hz nothing moves between two
 
 
 class DetectDesign(Design):
