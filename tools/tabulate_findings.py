@@ -1,6 +1,6 @@
 """Write the table of docs/findings.md from the rows in docs/findings, and check its sentences against them.
 
-    python tools/tabulate_findings.py          # writes the table
+    python tools/tabulate_findings.py          # writes the tables
     python tools/tabulate_findings.py --check  # says what differs, and ends with 1
 
 The rows are those of the report of a study, `study-NAME/report/*.csv`. A figure with its interval,
@@ -12,13 +12,15 @@ import argparse
 import csv
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PAGE, ROWS = ROOT / "docs" / "findings.md", ROOT / "docs" / "findings"
 Row = dict[str, str]
 CHANNELS = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
+# medians of moving vehicles: their travel in 1 s over the distance to the next vehicle ahead in their lane
+TRAVEL_OVER_DISTANCE = {"motorway": 0.75, "arterial": 0.55, "junction": 0.36, "city": 0.28, "suburb": 0.24}
 CHANCE = 0.05  # a star marks rows whose |t| chance alone exceeds in fewer studies
 ESTIMATES = (  # columns of an estimate and of its interval
     ("effect", "low", "high"),
@@ -46,12 +48,9 @@ def rows_of(name: str) -> list[Row]:
         return list(csv.DictReader(file))
 
 
-def table1_rows() -> dict[tuple[str, str, str, str], Row]:
-    """Effects of Table 1 by channel, response, axis and level."""
-    return {
-        (row["channel"], row["response"], row["axis"], row["level"].split(" against ")[0]): row
-        for row in rows_of("table1_effects")
-    }
+def points_of(study: str) -> dict[tuple[str, str, str], Row]:
+    """Scores of a study's designs by point, channel and response."""
+    return {(row["point"], row["channel"], row["response"]): row for row in rows_of(f"{study}_points")}
 
 
 def standard() -> Iterator[str]:
@@ -60,11 +59,27 @@ def standard() -> Iterator[str]:
     columns |= {"purity": 3, "false_per_km2": 1}
     yield "| | tracked per km² | of visible | custody | same id after a stop | purity | false per km² |"
     yield "|" + " --- |" * 7
-    found = {(row["point"], row["channel"], row["response"]): row for row in rows_of("standard_points")}
+    found = points_of("standard")
     sensors = [(name, "adaptive", channel) for channel, name in CHANNELS.items()]
     for name, point, channel in (*sensors, ("all elements pan", "all pan", "pan")):
         cells = [_interval(found[point, channel, key], "score", digits) for key, digits in columns.items()]
         yield f"| {name} | {' | '.join(cells)} |"
+
+
+def traffic() -> Iterator[str]:
+    """Tabulate kinds of traffic, each cell at 1, 2, 5 and 10 Hz."""
+    yield "| traffic | travel in 1 s over distance ahead | of visible | custody | false per km² |"
+    yield "|" + " --- |" * 5
+    found = points_of("traffic")
+    for kind, share in TRAVEL_OVER_DISTANCE.items():
+        level = "" if kind == "motorway" else f"traffic = {kind}"
+        rates = "", *(f"rate = {rate} Hz" for rate in (2, 5, 10))
+        points = [", ".join(filter(None, (level, rate))) or "base" for rate in rates]
+        cells = [
+            " / ".join(f"{float(found[point, 'all', key]['score']):.{digits}f}" for point in points)
+            for key, digits in {"completeness_visible": 2, "custody": 2, "false_per_km2": 0}.items()
+        ]
+        yield f"| {kind} | {share:.2f} | {' | '.join(cells)} |"
 
 
 def figures() -> Iterator[tuple[float, float, float]]:
@@ -77,10 +92,9 @@ def figures() -> Iterator[tuple[float, float, float]]:
                     yield value, low, high
 
 
-def strays(text: str, known: Iterable[tuple[float, float, float]]) -> list[str]:
+def strays(text: str, known: list[tuple[float, float, float]]) -> list[str]:
     """Figures with intervals in a text that are in no table."""
-    known = list(known)
-    known += [(-value, -high, -low) for value, low, high in known]
+    known = [*known, *((-value, -high, -low) for value, low, high in known)]
     return [
         found.group()
         for found in INTERVAL.finditer(text)
@@ -91,23 +105,24 @@ def strays(text: str, known: Iterable[tuple[float, float, float]]) -> list[str]:
 def known_rows() -> list[tuple[Row, int]]:
     """Effects of Table 1 with a sign that is known beforehand, and that sign."""
     scores = "tracked_per_km2", "completeness_visible", "custody"
-    return [
-        (row, KNOWN_BETTER[axis, level])
-        for (_, score, axis, level), row in table1_rows().items()
-        if score in scores and (axis, level) in KNOWN_BETTER
-    ]
+    rows = [row for row in rows_of("table1_effects") if row["response"] in scores]
+    levels = [(row["axis"], row["level"].split(" against ")[0]) for row in rows]
+    return [(r, KNOWN_BETTER[level]) for r, level in zip(rows, levels, strict=True) if level in KNOWN_BETTER]
 
 
 def contradicts(row: Row, sign: int) -> bool:
     """Return True if a row is significant with the opposite sign."""
-    return bool(_star(row)) and sign * float(row["effect"]) < 0
+    beyond_chance = row["p_max_t"] and float(row["p_max_t"]) < CHANCE
+    return bool(beyond_chance) and sign * float(row["effect"]) < 0
 
 
 def written(text: str) -> str:
-    """Text of the page with a new table."""
-    begin, end = "<!-- standard: written by python tools/tabulate_findings.py -->\n", "\n<!-- end -->"
-    before, rest = text.split(begin)
-    return before + begin + "\n".join(standard()) + end + rest.split(end, 1)[1]
+    """Text of the page with new tables."""
+    for table in (standard, traffic):
+        begin = f"<!-- {table.__name__}: written by python tools/tabulate_findings.py -->\n"
+        before, rest = text.split(begin)
+        text = before + begin + "\n".join(table()) + "\n<!-- end -->" + rest.split("\n<!-- end -->", 1)[1]
+    return text
 
 
 def main() -> int:
@@ -115,41 +130,25 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument(
-        "--check", action="store_true", help="write nothing; end with 1 where anything differs"
-    )
+    parser.add_argument("--check", action="store_true", help="write nothing; end with 1 if anything differs")
     check = parser.parse_args().check
     text = PAGE.read_text(encoding="utf-8")
-    new = written(text)
-    lost = strays(new, figures())
+    lost = strays(new := written(text), list(figures()))
     for figure in lost:
         print(f"{figure} is in none of docs/findings/*.csv")
     wrong = [row for row, sign in known_rows() if contradicts(row, sign)]
     for row in wrong:
-        print(f"{row['level']} in {row['channel']} has {row['response']} {_effect(row, 3)}: the wrong sign")
+        print(f"{row['level']} in {row['channel']} has {row['response']} {row['effect']}: the wrong sign")
     if not check:
         PAGE.write_text(new, encoding="utf-8")
     elif new != text:
-        print("the table of docs/findings.md is not that of its rows: python tools/tabulate_findings.py")
+        print("the tables of docs/findings.md are not those of its rows: python tools/tabulate_findings.py")
     return int(bool(lost or wrong) or (check and new != text))
 
 
 def _rounds_to(figure: str, value: float) -> bool:
     decimals = len(figure.partition(".")[2])
     return abs(float(figure.replace("−", "-")) - value) <= 0.5 * 10**-decimals + 1e-12
-
-
-def _format_signed(value: float, digits: int) -> str:
-    return f"{value:+.{digits}f}".replace("-", "−")
-
-
-def _effect(row: Row, digits: int) -> str:
-    low, high = (_format_signed(float(row[name]), digits) for name in ("low", "high"))
-    return f"{_format_signed(float(row['effect']), digits)} ({low} … {high}){_star(row)}"
-
-
-def _star(row: Row) -> str:
-    return " *" if row["p_max_t"] and float(row["p_max_t"]) < CHANCE else ""
 
 
 def _interval(row: Row, name: str, digits: int) -> str:

@@ -4,7 +4,12 @@ import csv
 import importlib.util
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from glintrack.case.packaged import find_case
+from glintrack.scene import build_scene
+from glintrack.study import read_plan
 
 ROOT = Path(__file__).parents[2]
 
@@ -20,12 +25,35 @@ def findings():
 def test_each_figure_with_an_interval_is_in_a_table(findings):
     text = findings.PAGE.read_text(encoding="utf-8")
     assert len(findings.INTERVAL.findall(text)) > 50
-    assert findings.strays(text, findings.figures()) == []
+    assert findings.strays(text, list(findings.figures())) == []
 
 
-def test_the_table_is_that_of_its_rows(findings):
+def test_the_tables_are_those_of_their_rows(findings):
     text = findings.PAGE.read_text(encoding="utf-8")
     assert findings.written(text) == text
+
+
+@pytest.mark.slow
+def test_travel_over_distance_is_that_of_the_recorded_traffic(findings):
+    """Moving vehicles in the window over 20 s; the next vehicle ahead within 2 m of their line."""
+    cases = {case.scene: case for case in read_plan(find_case("traffic")).cases.values()}
+    found = {}
+    for scene, case in cases.items():
+        city, shares = build_scene(scene), []
+        for time_s in case.flight.start_s + np.arange(0, 20, 2.0):
+            now = city.truth(time_s)
+            place = np.array([now["east_m"], now["north_m"]])
+            velocity = np.array([now["east_speed_m_s"], now["north_speed_m_s"]])
+            speed = np.hypot(*velocity)
+            inside = (abs(place[0]) < 330) & (abs(place[1]) < 210)
+            for k in np.flatnonzero((speed > 1) & inside):
+                offset, (x, y) = place - place[:, [k]], velocity[:, k] / speed[k]
+                along, across = x * offset[0] + y * offset[1], x * offset[1] - y * offset[0]
+                ahead = along[(along > 0) & (abs(across) < 2)]
+                shares += [speed[k] / ahead.min()] if ahead.size else []
+        kind = Path(scene.net_file).name.split(".")[0] if scene.net_file else "city"
+        found[kind] = float(np.median(shares))
+    assert found == pytest.approx(findings.TRAVEL_OVER_DISTANCE, abs=0.006)
 
 
 def test_a_figure_that_is_not_there_is_found(findings):
