@@ -39,6 +39,7 @@ design = "one-at-a-time"      # each row by itself, from the first values
 
 [base]
 sensor.oversampling = 1
+bound.every = 0
 sensor.rows = 160
 sensor.columns = 260
 flight.azimuth_from_sun_deg = 0

@@ -7,7 +7,7 @@ from validation import mitsuba_city as against
 from validation.mitsuba_scene import load_mitsuba
 
 pytestmark = pytest.mark.slow
-OPTIONS = against.options_of("--cut 150 --rays 1700 --samples 128 --samples-in-shade 512 --quick".split())
+OPTIONS = against.options_of("--cut 150 --rays 1700 --samples 64 --samples-in-shade 256 --quick".split())
 # medians of I at the ground, ours over the full path, at 0.55 and 0.85 µm: of fifty to five hundred rays
 MEDIANS = {
     "road in sun": ((0.98, 1.02), (0.98, 1.02)),

@@ -36,11 +36,11 @@ altitudes_m = [500.0, 3000.0]
 [flight]
 off_nadir_deg = 0.0
 altitude_m = 3000.0
-frames = 12
+frames = 8
 rate_hz = 2.0
 [sensor]
-rows = 240
-columns = 320
+rows = 160
+columns = 200
 oversampling = 2
 polarizer = "ideal"
 demosaic = "bilinear"
