@@ -299,7 +299,7 @@ def _draw_surrogate(mine: pd.DataFrame, score: str) -> Figure:
             panel.fill_between(part["value"], *ends, color=colour, alpha=0.15, linewidth=0)
         panel.set_xlabel(axis)
         panel.spines[_UPPER].set_visible(False)
-    panels[0].set_ylabel(f"{score} of a flight (90 %)")
+    panels[0].set_ylabel(f"{score}\nof a flight (90 %)")
     panels[0].legend(frameon=False, fontsize=8)
     return figure
 
