@@ -1,4 +1,4 @@
-"""Write the table of docs/findings.md from the rows in docs/findings, and check its sentences against them.
+"""Write the tables of docs/findings.md from the rows in docs/findings, and check its sentences against them.
 
     python tools/tabulate_findings.py          # writes the tables
     python tools/tabulate_findings.py --check  # says what differs, and ends with 1

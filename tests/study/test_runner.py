@@ -108,9 +108,7 @@ def test_a_case_that_raises_is_retried_told_and_left_behind(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_killed_worker_costs_an_attempt_and_a_case_that_kills_every_worker_fails_alone(
-    tmp_path,
-):
+def test_a_killed_worker_costs_one_attempt_and_a_case_that_kills_all_fails_alone(tmp_path):
     text = f"retries = 1\n[axes]\nsensor.read_noise_e = [20, {KILLS_ONCE}, {KILLS}, 22]\n"
     report, table, folder = fly(tmp_path, text, pool=processes(2))
     assert report.finished == 3 and len(report.failed) == 1
