@@ -45,16 +45,28 @@ PLAIN_MODULES = (
 def check(function):
     """Decorate a function so that arrays that do not fit their annotations raise TypeError."""
     signature = inspect.signature(function)
+    names = tuple(signature.parameters)
+    arrays = {p.name: p.annotation for p in signature.parameters.values() if _holds_array(p.annotation)}
+    returned = signature.return_annotation
+    if not arrays and not _holds_array(returned):
+        return function
 
     @functools.wraps(function)
     def checked(*args, **kwargs):
-        for name, value in signature.bind(*args, **kwargs).arguments.items():
-            _refuse_misfit(value, signature.parameters[name].annotation, name)
+        for name, value in (*zip(names, args, strict=False), *kwargs.items()):
+            if name in arrays:
+                _refuse_misfit(value, arrays[name], name)
         result = function(*args, **kwargs)
-        _refuse_misfit(result, signature.return_annotation, "result")
+        _refuse_misfit(result, returned, "result")
         return result
 
     return checked
+
+
+def _holds_array(annotation) -> bool:
+    if isinstance(annotation, type) and issubclass(annotation, AbstractArray):
+        return True
+    return any(map(_holds_array, typing.get_args(annotation)))
 
 
 def _refuse_misfit(value, annotation, name: str) -> None:

@@ -126,7 +126,7 @@ def join(patches: Iterable[Patch]) -> Patch:
 
 def polygons(shape: BaseGeometry) -> list[Polygon]:
     """List the polygons of any plan geometry without slivers."""
-    parts = shapely.get_parts(shapely.get_parts(shape))
+    parts = [shape] if isinstance(shape, Polygon) else shapely.get_parts(shapely.get_parts(shape))
     return [p for p in parts if isinstance(p, Polygon) and p.area > SLIVER_M2]
 
 
