@@ -124,7 +124,7 @@ def crossing(seed, query_at, policy="entropy"):
         spectra = paints[whose] + rng.normal(0, 0.05, (len(asked), BINS))
         evidence = identity.attach(asked, spectra, seen.found.position, identity.ATTACH_RADIUS_M)
         state = track.step_detections(state, seen, t, GRID, evidence)
-        state, queries = track.query_predictions(state, EVERY_COLUMN)
+        queries = track.query_predictions(state, EVERY_COLUMN)
         tracks = track.report(state)
         if tracks.sizes["track"] == 2:
             at = np.stack([tracks["east_m"].values, tracks["north_m"].values], axis=1)
@@ -179,34 +179,9 @@ def test_only_a_design_that_asks_at_detections_asks_of_them():
         seen = track.prepare_detections(state, found, 1.5, GRID)
         queries = [q for q in track.query_detections(state, seen, EVERY_COLUMN) if q.track_id >= 0]
         assert len(queries) == count
-        assert track.query_predictions(state, EVERY_COLUMN)[1] == () or design.query.at == "prediction"
+        assert track.query_predictions(state, EVERY_COLUMN) == () or design.query.at == "prediction"
         for q in queries:
             assert (q.east_m, q.north_m) == (0.0, 0.0) and q.track_id == state.targets.id[0]
-
-
-def test_round_robin_asks_whose_detections_waited_longest():
-    """Three vehicles and one query a frame: in any three frames each is asked once."""
-    design = plain_tracker().replace(
-        {
-            "query.at": "detection",
-            "query.policy": "round-robin",
-            "query.budget": 1,
-            "identity.outlier_share": 0,
-        }
-    )
-    place, asked = np.array([[0.0, 0.0], [30.0, 0.0], [60.0, 0.0]]), []
-    found = track.Detections(place, np.repeat(0.36 * np.eye(2)[None], 3, 0), np.ones(3), np.ones(3))
-    state = track.start(design)
-    for k in range(12):
-        seen = track.prepare_detections(state, found, 0.5 * k, GRID)
-        queries = track.query_detections(state, seen, EVERY_COLUMN)
-        evidence = np.full((3, BINS), np.nan)
-        for q in queries:
-            evidence[np.abs(seen.found.position[:, 0] - q.east_m).argmin()] = 0.0
-            asked.append(q.track_id)
-        state = track.step_detections(state, seen, 0.5 * k, GRID, evidence)
-    last = asked[-9:]
-    assert all(len(set(last[k : k + 3])) == 3 for k in range(7))
 
 
 def test_frame_detections_are_of_their_state_time_and_grid_alone():

@@ -177,7 +177,7 @@ def test_queries_are_for_the_next_frame():
     """Cars at constant speed: each query lies where its car will be, one per column."""
     frames = list(three_cars(np.arange(0, 5, 0.5)))
     columns = lambda enu: np.floor((enu[:, 0] + 90) / GSD).astype(int)  # noqa: E731
-    for policy, expected in (("entropy", 3), ("random", 3), ("round-robin", 3), ("none", 0)):
+    for policy, expected in (("entropy", 3), ("random", 3), ("none", 0)):
         state, queries = track.start(plain_tracker().replace({"query.policy": policy}), seed=4), ()
         for t, pan, _ in frames[:-1]:
             state, queries = track.step(state, track.Frame(t, image(pan, EXTENT, GSD)), None, columns)
@@ -188,22 +188,6 @@ def test_queries_are_for_the_next_frame():
             miss = np.hypot(vehicles["east_m"].values - q.east_m, vehicles["north_m"].values - q.north_m)
             assert miss.min() < 1.5  # a superpixel [m]
             assert q.track_id in track.report(state)["track"].values
-
-
-def test_round_robin_asks_everybody_in_turn():
-    """Three cars and one query a frame: in any three frames each is asked once."""
-    frames = list(three_cars(np.arange(0, 8, 0.5)))
-    columns = lambda enu: np.floor((enu[:, 0] + 90) / GSD).astype(int)  # noqa: E731
-    state, asked = (
-        track.start(plain_tracker().replace({"query.policy": "round-robin", "query.budget": 1})),
-        [],
-    )
-    for t, pan, _ in frames:
-        state, queries = track.step(state, track.Frame(t, image(pan, EXTENT, GSD)), None, columns)
-        asked += [q.track_id for q in queries]
-    assert len(asked) >= 9
-    last = asked[-9:]
-    assert all(len(set(last[k : k + 3])) == 3 for k in range(7))
 
 
 @pytest.mark.slow

@@ -203,8 +203,8 @@ class ReportingDesign(Design):
 class QueryDesign(Design):
     """Queries for spectra; the ``[track.query]`` table."""
 
-    policy: Literal["none", "random", "round-robin", "entropy"] = "entropy"
-    """Query policy: none, random, round-robin, or largest expected information gain."""
+    policy: Literal["none", "random", "entropy"] = "entropy"
+    """Query policy: none, random, or largest expected information gain."""
     budget: int = Field(default=20, ge=0, le=100_000)
     """Maximum number of spectra in a frame."""
     at: Literal["prediction", "detection"] = "detection"

@@ -211,11 +211,7 @@ def _interval(state: TrackerState, time_s: float) -> float:
 
 def _predict_state(state: TrackerState, motion: Motion) -> Targets:
     """Predict the targets, or the leaves of all their hypotheses."""
-    targets, leaves = state.targets, state.leaves
-    if leaves is not None:
-        tree = np.searchsorted(targets.id, leaves.targets.id)
-        targets = replace(leaves.targets, frames_since_query=targets.frames_since_query[tree])
-    return predict_targets(targets, motion)
+    return predict_targets(state.targets if state.leaves is None else state.leaves.targets, motion)
 
 
 def predict_targets(targets: Targets, motion: Motion) -> Targets:

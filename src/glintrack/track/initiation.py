@@ -55,8 +55,6 @@ class Targets:
         "existence" it is a candidate for reporting.
     feature, spectra
         Mean spectral feature and number of spectra it comes from.
-    frames_since_query
-        Frames since a spectrum was queried (or, with queries of detections, received), or since birth.
     quality
         Share of the coasting time that is left: 1 after a long time of measurements, 0 at deletion. [1]
     recent_ratio
@@ -79,7 +77,6 @@ class Targets:
     confirmed: Bool[Array, "target"]
     feature: Float[Array, "target feature"]
     spectra: Float[Array, "target"]
-    frames_since_query: Int[Array, "target"]
     quality: Float[Array, "target"]
     recent_ratio: Float[Array, "target"]
 
@@ -189,9 +186,6 @@ def update_status(
         # change detection forgets a vehicle that stands, and what stays at a place is often no vehicle
         change = np.where(is_stopped(targets), 0.0, change)
         recent_ratio = recent_ratio - math.expm1(-interval_s / RECENT_RATIO_S) * change
-    frames_since_query = targets.frames_since_query
-    if design.query.at == "detection":  # else `query_predictions` knows the queried targets
-        frames_since_query = np.where(spectra > targets.spectra, 0, frames_since_query + 1)
     # quality fills while a target is measured and drains while it is not: one false detection at the position
     # of a coasting track buys it a short time
     drain = interval_s * (
@@ -201,7 +195,7 @@ def update_status(
         hit, np.minimum(targets.quality + interval_s / rules.coast_ramp_s, 1.0), targets.quality - drain
     )
     return replace(
-        targets, history=history, confirmed=confirmed, age_s=age_s, frames_since_query=frames_since_query,
+        targets, history=history, confirmed=confirmed, age_s=age_s,
         unseen_s=np.where(hit, 0.0, targets.unseen_s + interval_s),
         misses=np.where(hit, 0, targets.misses + 1), feature=feature, spectra=spectra,
         recent_ratio=recent_ratio, quality=np.where(targets.confirmed, quality, np.maximum(quality, 0.0)),
@@ -276,7 +270,7 @@ def initiate(design, found, spectral, index, next_id, flow: Flow, roads=None, ot
         first_position=mean[:, :2].copy(), score=np.zeros(n), history=np.ones(n, np.int64), age_s=np.zeros(n),
         unseen_s=np.zeros(n), misses=np.zeros(n, np.int64), confirmed=np.zeros(n, bool),
         feature=np.where(known[:, None], spectral[index], 0.0), spectra=known.astype(float),
-        frames_since_query=np.zeros(n, np.int64), quality=np.zeros(n),
+        quality=np.zeros(n),
         recent_ratio=np.zeros(n) if ratio is None else ratio,
     )  # fmt: skip
     if ratio is None:

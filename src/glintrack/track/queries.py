@@ -7,7 +7,6 @@ gives each chosen target its own column (Edmonds and Fulkerson, J. Res. NBS 69B,
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -32,9 +31,7 @@ REACH_M = 1.2  # from a target's centre along its track to its other two candida
 MIN_HEADING_M_S = 0.5  # slower, a velocity does not give a heading
 
 
-def query_predictions(
-    state: TrackerState, column_of: ColumnOf | None
-) -> tuple[TrackerState, tuple[SpectralQuery, ...]]:
+def query_predictions(state: TrackerState, column_of: ColumnOf | None) -> tuple[SpectralQuery, ...]:
     """Plan the queries of the next frame, expected one interval later; `step` does this itself.
 
     Parameters
@@ -46,14 +43,13 @@ def query_predictions(
 
     Returns
     -------
-    The state, with the frames since each target's query, and the queries: none if the design queries
-    detections (`query_detections`).
+    The queries: none if the design queries detections (`query_detections`).
     """
     design = state.design
     if column_of is None or state.interval_s == 0 or design.query.at != "prediction":
-        return state, ()
+        return ()
     if design.query.policy == "none":
-        return state, ()
+        return ()
     promising = np.bitwise_count(state.targets.history) >= 2
     motion = motion_model(design, state.interval_s)
     targets = predict_targets(select(state.targets, promising), motion)
@@ -61,14 +57,9 @@ def query_predictions(
         detected = targets.mode_probability @ motion.detection
         priority = prediction_gain(targets, detected, state.population, design)
     else:
-        priority = _simple_priority(state, targets.frames_since_query)
+        priority = _random_priority(state, len(targets))
     spots = candidate_points(targets.position, targets.mean[:, 2:])
-    queries = _plan_with_ground(state, targets, spots, targets.id, priority, column_of)
-    frames_since_query = state.targets.frames_since_query + 1
-    frames_since_query[
-        np.searchsorted(state.targets.id, [q.track_id for q in queries if q.track_id >= 0])
-    ] = 0
-    return replace(state, targets=replace(state.targets, frames_since_query=frames_since_query)), queries
+    return _plan_with_ground(state, targets, spots, targets.id, priority, column_of)
 
 
 def query_detections(
@@ -114,18 +105,16 @@ def query_detections(
     if design.query.policy == "entropy":
         priority = detection_gain(targets, state.population, costs, share, len(found))
     else:
-        priority = np.where(owned, _simple_priority(state, targets.frames_since_query[owner]), 0.0)
+        priority = np.where(owned, _random_priority(state, len(found)), 0.0)
     velocity = np.where(owned[:, None], targets.mean[owner, 2:], 0.0)
     spots = candidate_points(found.position + np.array(found.displacement_m), velocity)
     known = select(targets, np.bitwise_count(targets.history) >= 2)
     return _plan_with_ground(state, known, spots, np.where(owned, targets.id[owner], -1), priority, column_of)
 
 
-def _simple_priority(state: TrackerState, frames_since_query: Int[Array, "target"]) -> Float[Array, "target"]:
-    """Priorities of the policies `round-robin` and `random`."""
-    if state.design.query.policy == "round-robin":
-        return frames_since_query + 1.0
-    return np.random.default_rng((state.seed, state.frame)).random(len(frames_since_query))
+def _random_priority(state: TrackerState, count: int) -> Float[Array, "target"]:
+    """Priorities of the policy `random`."""
+    return np.random.default_rng((state.seed, state.frame)).random(count)
 
 
 def _plan_with_ground(

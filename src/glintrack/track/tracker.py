@@ -115,7 +115,8 @@ def step(
     own[seen.order] = explained
     memory = detector.update(seen.memory, seen.frame, seen.given, Association(own))
     found = replace(new.detections, detail=None)  # the detector's notes are large
-    return query_predictions(replace(new, detector=detector, memory=memory, detections=found), column_of)
+    new = replace(new, detector=detector, memory=memory, detections=found)
+    return new, query_predictions(new, column_of)
 
 
 def step_detections(
