@@ -151,6 +151,7 @@ def test_bad_input_is_one_sentence(three_cars, monkeypatch):
         ("mirror-0-60-120", ("pan", "dolp", "all")),
         ("0-45-90-135", ("dolp", "all")),
         ([["open", "open"], ["open", "open"]], ("pan", "all")),  # pan is one element of four
+        ("rgb", ("pan",)),  # pan is all elements
     ],
 )
 def test_a_loss_budget_has_no_group_twice(layout, groups):

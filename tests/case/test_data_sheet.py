@@ -51,6 +51,15 @@ def test_a_camera_is_sharp_and_well_exposed(polarizers):
     assert build_sensor(small, case.atmosphere.wavelength_um).design.has_stokes == (polarizers != "none")
 
 
+@pytest.mark.parametrize("filters", ["rgb", "four-bands"])
+def test_a_colour_camera_is_well_exposed_and_tracks_all_its_elements(filters):
+    _, case = case_of(filters=filters)
+    assert case.channels == ("pan",) and case.sensor.layout == filters
+    assert 0.2 < light_quantities(case)["well_fill"] < 0.9
+    plain = case_of()[1].sensor
+    assert case.sensor.integration_time_ms > 1.5 * plain.integration_time_ms  # filters absorb
+
+
 def test_a_slow_camera_ends_with_the_recorded_traffic():
     _, case = case_of(rate_hz=0.2)
     assert (
@@ -104,6 +113,7 @@ def test_the_file_says_what_is_assumed_and_which_key_changes_it():
             {"detector": "imx250mzr", "polarizers": "none"},
             "`--polarizers` must be left out: imx250mzr has its own; got none",
         ),
+        ({"polarizers": "2x2", "filters": "rgb"}, "`--filters` must be left out with polarizers"),
         ({"detector": "imx253mzr", "rate_hz": 60.0}, "`--rate` must be at most the array's 15 Hz; got 60"),
         ({"rows": 2047, "polarizers": "2x2"}, "`sensor.rows` must be even"),
         ({"altitude_m": 12000.0}, "`flight.altitude_m` must be at most the highest of"),

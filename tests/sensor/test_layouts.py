@@ -64,12 +64,14 @@ def test_a_polarizer_that_does_not_polarize_is_refused():
 @pytest.mark.parametrize(
     ("layout", "message"),
     [
-        ("mirror-0-45", "must be one of mirror-0-60-120, 0-45-90-135, pan, mirror or a matrix"),
+        ("mirror-0-45", "must be one of mirror-0-60-120, 0-45-90-135, pan, mirror, rgb, four-bands or"),
         ((("mirror", 0.0), (60.0,)), r"must be square, 1 to 4 elements a side; got rows of \[2, 1\]"),
         ((), "must be square"),
         ((("mirror", "mirror"), (0.0, 60.0)), "must hold one mirror at most; got 2"),
         ((("glass", 0.0), (60.0, 120.0)), r"got \['glass'\]"),
         (((math.nan, 0.0), (60.0, 120.0)), "angles in degrees"),
+        ((("0.6-0.5", "open"), ("open", "open")), r"such as '0.5-0.6'; got \['0.6-0.5'\]"),
+        ((("0.4-0.5", 0.0), (60.0, 120.0)), "must hold filters or polarizers, not both"),
     ],
 )
 def test_layouts_that_are_none_are_refused(layout, message):

@@ -4,14 +4,24 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from glintrack.core.records import ServedQueries
 from glintrack.core.spectral import wavelength_grid
-from glintrack.sensor import Sensor, SensorDesign, build_preset, build_sensor, read_arrays, read_presets
+from glintrack.sensor import (
+    Sensor,
+    SensorDesign,
+    build_preset,
+    build_sensor,
+    expose,
+    read_arrays,
+    read_presets,
+)
 from glintrack.sensor.presets import element_curves
 from glintrack.sensor.response import element_response
 
 GRID_UM = wavelength_grid(0.4, 1.0)
 DESIGN = SensorDesign(rows=16, columns=24, polarizer="ideal", read_noise_e=0.0, prnu=0.0)
 # electrons in white light over those of all pan elements; None: what filters of the table leave
+NO_QUERIES = ServedQueries((), np.empty(0, int), np.empty(0, int), ())
 SHARES = {"pan": 1.0, "superpixel": 0.625, "depolarized": 0.625, "polarimeter": 0.75}
 
 
@@ -73,6 +83,25 @@ def test_the_superpixel_is_the_papers(presets):
     """Electrons of each element are those of the packaged sensor with its own layout."""
     own = build_sensor(DESIGN, GRID_UM)
     np.testing.assert_allclose(presets["superpixel"][0].stokes_gains, own.stokes_gains, atol=1e-9)
+
+
+@pytest.mark.parametrize(("layout", "preset"), [("rgb", "rgb"), ("four-bands", "four_bands")])
+def test_a_mosaic_of_filters_of_a_case_is_the_presets(layout, preset, presets):
+    own = {"layout": layout, "integration_time_ms": DESIGN.integration_time_ms}  # else it is longer
+    own = build_sensor(DESIGN.replace(own), GRID_UM)
+    np.testing.assert_allclose(presets[preset][0].stokes_gains, own.stokes_gains, atol=1e-9)
+
+
+def test_pan_of_filters_is_the_mean_of_their_bands():
+    """Spectrum L = λ: the mean of a filter's photon-weighted means, ∫ λ² dλ / ∫ λ dλ."""
+    sensor = build_sensor(DESIGN.replace({"layout": "four-bands"}), GRID_UM)
+    frame = expose(uniform(40.0, spectrum=GRID_UM), sensor, NO_QUERIES, np.random.default_rng(1))
+    bands = np.array([(0.45, 0.52), (0.52, 0.60), (0.63, 0.69), (0.76, 0.90)]).T
+    expected = 40.0 * np.mean(2 / 3 * np.diff(bands**3, axis=0) / np.diff(bands**2, axis=0))
+    assert float(frame["pan"].mean()) == pytest.approx(expected, rel=0.01)
+    assert frame["pan"].shape == (DESIGN.rows // 2, DESIGN.columns // 2)
+    np.testing.assert_array_equal(frame["stokes_radiance"][..., 0], frame["pan"])
+    assert np.isnan(frame["stokes_radiance"][..., 1:]).all()
 
 
 def test_white_light_reads_the_same_in_all_elements_and_polarization_in_polarizers_alone(presets):

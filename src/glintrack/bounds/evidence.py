@@ -48,15 +48,16 @@ def dolp_variance(of: Polarization) -> Float[Array, "superpixel"]:
 
 def element_groups(sensor: Sensor) -> tuple[str, ...]:
     """List the groups of elements of a sensor; without that of all where every element is pan."""
-    pan = sensor.pan_element is not None
-    has = {"pan": pan, "dolp": sensor.stokes_matrix is not None, "all": not pan or sensor.side > 1}
+    pan = sensor.pan_element is not None or sensor.stokes_matrix is None
+    more = len(group_elements("pan", sensor)) < sensor.side**2
+    has = {"pan": pan, "dolp": sensor.stokes_matrix is not None, "all": not pan or more}
     return tuple(group for group in GROUPS if has[group])
 
 
 def group_elements(group: str, sensor: Sensor) -> list[tuple[int, int]]:
     """(row, column) in the superpixel of the elements of a group."""
-    if group == "pan":
-        return [sensor.mirror_element]
+    if group == "pan" and sensor.pan_element:
+        return [sensor.pan_element]
     return [(i, j) for i in range(sensor.side) for j in range(sensor.side)]
 
 

@@ -20,6 +20,8 @@ MOSAICS: dict[Polarizers, tuple[str, str]] = {
     "superpixel": ("mirror-0-60-120", "the paper's micromirror and three wire grids"),
     "2x2": ("0-45-90-135", "four polarizer angles on the array"),
 }
+Filters = Literal["rgb", "four-bands"]
+FILTER_BANDS: dict[Filters, list[float]] = {"rgb": [0.4, 0.7], "four-bands": [0.45, 0.9]}
 CAMERA = {"polarizer": "constant", "polarizer_transmittance": 0.8, "polarizer_extinction_ratio": 300.0}
 OPTIONS = {  # that give a key of [sensor], and that name an item of the catalogue with it
     **dict.fromkeys(("columns", "rows"), ("--pixels", "--sensor")),
@@ -39,6 +41,7 @@ def case_text(
     polarizers: Polarizers | None = None,
     detector: str = "",
     lens: str = "",
+    filters: Filters | None = None,
 ) -> str:
     """Text of a commented case file with what a data sheet states; the case derives the rest.
 
@@ -54,6 +57,8 @@ def case_text(
         Mosaic on the array; None for that of the detector, or none.
     detector, lens
         Names in the catalogue; may be empty.
+    filters
+        Mosaic of colour filters on the array, instead of polarizers.
 
     Raises
     ------
@@ -66,9 +71,11 @@ def case_text(
     frames = min(max(_MIN_FRAMES, min(round(_FLIGHT_S * rate_hz), _MAX_FRAMES), least), most)
     path: Entries = {key: (value, "") for key, value in flight.items()}
     path["frames"] = frames, f"{frames / rate_hz:.3g} s"
-    sensor = _array_entries(polarizers, detector, rate_hz)
+    sensor = _array_entries(polarizers, detector, rate_hz, filters)
     _add_figures(sensor, camera, lens)
-    top: Entries = {"channels": (["pan"], "without polarizers")} if sensor["layout"][0] == "pan" else {}
+    top: Entries = (
+        {"channels": (["pan"], "without polarizers")} if sensor["layout"][0] in ("pan", *FILTER_BANDS) else {}
+    )
     tables = {"": top, "flight": path, "sensor": sensor}
     drawn = _case_of(tables, name)
     (across_m, along_m), (wide_m, high_m) = ground_view(drawn)
@@ -126,7 +133,9 @@ def _case_of(tables: Mapping[str, Entries], name: str) -> Case:
     return validate_design(Case, {"name": name, **values.pop(""), **values})
 
 
-def _array_entries(polarizers: Polarizers | None, detector: str, rate_hz: float) -> Entries:
+def _array_entries(
+    polarizers: Polarizers | None, detector: str, rate_hz: float, filters: Filters | None
+) -> Entries:
     """Mosaic, band and quantum efficiency, and the figures of a detector array."""
     entries: Entries = {"band_um": ([0.4, 1.0], "assumed"), "quantum_efficiency": ("silicon", "assumed")}
     item = find_item("detectors", detector) if detector else None
@@ -140,6 +149,14 @@ def _array_entries(polarizers: Polarizers | None, detector: str, rate_hz: float)
         if item and item.figures["layout"] not in ("pan", MOSAICS[polarizers or "none"][0]):
             raise ValueError(f"`--polarizers` must be left out: {detector} has its own; got {polarizers}.")
         entries["layout"] = MOSAICS[polarizers or "none"]
+    if filters:
+        if entries["layout"][0] != "pan":
+            raise ValueError(
+                f"`--filters` must be left out with polarizers on the array; got {filters} and mosaic "
+                f"{entries['layout'][0]}."
+            )
+        entries["layout"] = filters, "colour filters, with ideal edges"
+        entries["band_um"] = FILTER_BANDS[filters], "of the filters; beyond it a filter blocks, assumed"
     if polarizers == "2x2":
         entries |= {key: (value, "assumed") for key, value in CAMERA.items()}
     return entries

@@ -39,7 +39,7 @@ def describe_initiation(case: Case) -> str:
 def describe_array(case: Case) -> str:
     """Line on the elements of the array, their polarizers, and the channels that are tracked."""
     sensor = case.sensor
-    layout = sensor.layout if isinstance(sensor.layout, str) else "given angles"
+    layout = sensor.layout if isinstance(sensor.layout, str) else "given elements"
     polarizers = f"polarizers {sensor.polarizer!r}" if sensor.has_stokes else "no polarizers"
     mirror = ", a micromirror in each superpixel" if sensor.has_mirror else ""
     return f"array: mosaic {layout!r}, {polarizers}{mirror}. Tracked channels: {', '.join(case.channels)}"

@@ -28,7 +28,12 @@ from glintrack.sensor import image_motion, with_lens
 from glintrack.sensor.exposure import FULL_SHARE
 from glintrack.sensor.layouts import MIRROR, OPEN
 from glintrack.sensor.polarizer import load_polarizer
-from glintrack.sensor.response import analyser_response, element_response, photon_gain
+from glintrack.sensor.response import (
+    analyser_response,
+    element_response,
+    filtered_response,
+    photon_gain,
+)
 from glintrack.sensor.wavefront import modulation_transfer
 
 CAR_M = (4.5, 1.8)
@@ -184,13 +189,18 @@ class ElementLight(NamedTuple):
 
 
 def ground_light(case: Case) -> ElementLight:
-    """Derive the electrons of an element in the case's sun and haze, at the exposure that is used."""
+    """Derive the electrons of an element in the case's sun and haze, at the exposure that is used.
+
+    Of filters alone it is their mean.
+    """
     sensor, um = case.sensor, np.asarray(case.atmosphere.wavelength_um)
-    bare = any(what in (OPEN, MIRROR) for row in sensor.superpixel for what in row)
-    if bare or not sensor.has_stokes:
+    kinds = [what for row in sensor.superpixel for what in row]
+    if any(what in (OPEN, MIRROR) for what in kinds):
         response = element_response(sensor, um)
-    else:
+    elif sensor.has_stokes:
         response = analyser_response(sensor, load_polarizer(sensor), um)[0]
+    else:
+        response = np.mean([filtered_response(sensor, str(what), um) for what in kinds], axis=0)
     weights = quadrature_weights(um) * um * response
     if not weights.sum() > 0:
         return ElementLight(0.0, 0.0, 0.0)

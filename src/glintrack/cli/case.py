@@ -19,7 +19,7 @@ from glintrack.case.advice import conclude
 from glintrack.case.area import describe_window
 from glintrack.case.build import check_place
 from glintrack.case.check import ANSWERS, Judgement, assess_case
-from glintrack.case.data_sheet import Polarizers, case_text
+from glintrack.case.data_sheet import Filters, Polarizers, case_text
 from glintrack.case.design import Case
 from glintrack.case.fitted_range import describe_array, describe_binning, describe_initiation
 from glintrack.case.niirs import describe_niirs
@@ -121,6 +121,7 @@ def new(
     polarizers: Annotated[
         Polarizers | None, cli.option("Mosaic: four angles, or the paper's [default: none]")
     ] = None,
+    filters: Annotated[Filters | None, cli.option("Colour filters on the array [default: none]")] = None,
     sensor: Annotated[str, cli.option("Array of `glintrack sensor list`, for --pixels and --pitch")] = "",
     lens: Annotated[str, cli.option("Lens of `glintrack sensor list`, instead of --focal-length")] = "",
 ) -> None:
@@ -142,7 +143,7 @@ def new(
     }
     if pixels:
         camera |= {"columns": int(size[1]), "rows": int(size[2])}
-    text = case_text(file.stem, flight, camera, polarizers, sensor, lens)
+    text = case_text(file.stem, flight, camera, polarizers, sensor, lens, filters)
     write_text(file, text)
     print(*(line[2:] for line in text.splitlines()[1:] if line.startswith("# ")), sep="\n")
     if 0 < off_nadir <= math.pi / 2:

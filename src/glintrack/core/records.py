@@ -59,7 +59,8 @@ class Mosaic:
     sigma_e
         Standard deviation of shot, dark, read and quantizer noise. [e]
     layout
-        Element types of a superpixel: ``"mirror"``, ``"open"`` or a polarizer's angle. [deg]
+        Element types of a superpixel: ``"mirror"``, ``"open"``, a polarizer's angle [deg] or a filter's
+        band [µm].
     gains
         Electrons of each element of a superpixel per unit of S0, S1 and S2 in its own band, the latter two in
         the ``detector`` frame. [e / (W m⁻² sr⁻¹ µm⁻¹)]

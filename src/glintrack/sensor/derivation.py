@@ -18,7 +18,7 @@ from glintrack.core.installation import data_file, read_data
 from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM
 from glintrack.core.units import unit_of
 from glintrack.io.spectra import read_spectra
-from glintrack.sensor.layouts import LAYOUTS
+from glintrack.sensor.layouts import LAYOUTS, filter_band
 
 SILICON = str(data_file("sensors", "silicon.csv"))
 DEFAULT_PITCH_UM, DEFAULT_F_NUMBER, DEFAULT_EFFICIENCY, DEFAULT_TRANSMISSION = 17.0, 5.6, 0.6, 0.85
@@ -69,7 +69,8 @@ def integration_time(known: Mapping[str, Any]) -> float:
     """
     layout = known["layout"]
     rows = LAYOUTS.get(layout, ((layout,),)) if isinstance(layout, str) else layout
-    has_bare_element = any(isinstance(what, str) for row in rows for what in row)
+    kinds = [what for row in rows for what in row]
+    has_bare_element = any(isinstance(what, str) for what in kinds)
     efficiency = known["quantum_efficiency"]
     if isinstance(efficiency, str) and efficiency != "silicon":
         efficiency = DEFAULT_EFFICIENCY
@@ -80,7 +81,7 @@ def integration_time(known: Mapping[str, Any]) -> float:
         * known["fill_factor"]
         * (known["optics_transmission"] / DEFAULT_TRANSMISSION)
         * (1.0 if has_bare_element else 0.5 * known["polarizer_transmittance"])
-        * _relative_signal(_band_um(known), efficiency)
+        * max(_relative_signal(band_um, efficiency) for band_um in _element_bands_um(known, kinds))
     )
     time_ms = _EXPOSURE_MS * (known["full_well_e"] / _FULL_WELL_E) / max(light, 1e-9)
     return _rounded(min(time_ms, MAX_EXPOSURE_MS, 0.9e3 / known["max_frame_rate_hz"]))
@@ -107,6 +108,13 @@ def _relative_signal(band_um: tuple[float, float], efficiency: float | str) -> f
         part = np.interp(grid, table["wavelength_um"], table["efficiency"], right=0.0)
     own, default = ((low - 1e-9 <= grid) & (grid <= last + 1e-9) for low, last in (band_um, DEFAULT_BAND_UM))
     return float((photons * part)[own].sum() / (DEFAULT_EFFICIENCY * photons[default].sum()))
+
+
+def _element_bands_um(known: Mapping[str, Any], kinds: list[str | float]) -> list[tuple[float, float]]:
+    """Band of each kind of element: the sensor's, or what a filter leaves of it. [µm]"""
+    first, last = _band_um(known)
+    bands = [filter_band(what) or (first, last) for what in kinds]
+    return [(max(first, low), min(last, high)) for low, high in bands]
 
 
 def _band_um(known: Mapping[str, Any]) -> tuple[float, float]:

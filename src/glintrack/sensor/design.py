@@ -118,7 +118,8 @@ class SensorDesign(Design):
     rows: int = Field(default=560, ge=4, le=8192, description="Elements down the array")
     columns: int = Field(default=880, ge=4, le=8192, description="Elements across the array")
     layout: str | tuple[tuple[Angle | str, ...], ...] = "mirror-0-60-120"
-    """Superpixel: mirror-0-60-120, 0-45-90-135, pan, mirror, or rows of 'mirror', 'open', angles [deg]."""
+    """Superpixel: mirror-0-60-120, 0-45-90-135, pan, mirror, rgb, four-bands, or rows of 'mirror', 'open',
+    angles [deg] or bands of filters such as '0.5-0.6' [µm]."""
     polarizer: str = "grid_b"
     """ideal, constant, grid_a, grid_b, grid_a_physical, grid_b_physical, or a NetCDF file."""
     polarizer_transmittance: float = Field(default=1.0, gt=0, le=1)

@@ -50,7 +50,7 @@ def expose(
     Returns
     -------
     Schema ``frame``; pan is NaN where the mirror fed the spectrometer. Without a mirror or an open element
-    pan is S0; without polarizers S0 is pan, and S1 and S2 are NaN.
+    pan is S0, or the mean of the filters' readings; without polarizers S0 is pan, and S1 and S2 are NaN.
     """
     return frame_of(array_readout(radiance(sensor.channels).values, sensor, rng), sensor, served, time_s)
 
@@ -72,6 +72,8 @@ def frame_of(
         stokes = readings @ sensor.stokes_matrix.T.astype(np.float32)
     else:
         stokes = np.full((*dark.shape, 3), np.nan, np.float32)
+        if pan is None:  # filters alone
+            pan = measured.reshape(dark.shape[0], side, dark.shape[1], side).mean(axis=(1, 3))
         stokes[..., 0] = pan
     about = {"time_s": float(time_s), "dolp_floor": NOISE_FLOORS * s0_noise_floor(sensor)}
     pan = stokes[..., 0] if pan is None else pan

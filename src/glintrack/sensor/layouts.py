@@ -1,6 +1,7 @@
 """Superpixels by name: kinds of elements, and the condition of their polarizers for S0, S1 and S2."""
 
 import math
+import re
 from typing import Literal
 
 import numpy as np
@@ -12,31 +13,36 @@ MIRROR, OPEN = "mirror", "open"
 Superpixel = tuple[tuple[str | float, ...], ...]
 Demosaicker = Literal["superpixel", "bilinear", "ppid", "eari"]  # `sensor.demosaicking.demosaic`
 # rows from the top; a number is a polarizer's pass axis from the detector's +x, counter-clockwise as seen
-# looking at the source [deg]
+# looking at the source [deg]; two numbers are the band of a filter [µm]
 LAYOUTS: dict[str, Superpixel] = {
     "mirror-0-60-120": ((MIRROR, 0.0), (60.0, 120.0)),  # the paper's, §3.2
     "0-45-90-135": ((90.0, 45.0), (135.0, 0.0)),  # as sold: Sony Polarsens, by its flyer
     "pan": ((OPEN,),),
     "mirror": ((MIRROR,),),  # a multi-object spectrometer alone
+    "rgb": (("0.605-0.7", "0.505-0.6"), ("0.505-0.6", "0.4-0.5")),  # Bayer; thirds of the visible
+    "four-bands": (("0.45-0.52", "0.52-0.6"), ("0.63-0.69", "0.76-0.9")),  # Landsat Thematic Mapper 1 to 4
 }
+_FILTER = re.compile(r"(\d*\.?\d+)-(\d*\.?\d+)")
 LARGEST = 4  # elements along a superpixel's side
 LARGEST_CONDITION = 50.0  # noise of S1 and S2 is then some fifty times that of S0
 
 
 def superpixel(layout: str | Superpixel, name: str = "sensor.layout") -> Superpixel:
-    """Polarizer, mirror or nothing over each element of a superpixel.
+    """Polarizer, filter, mirror or nothing over each element of a superpixel.
 
     Parameters
     ----------
     layout
-        A name of `LAYOUTS`, or the matrix itself: ``"mirror"``, ``"open"``, or a polarizer's angle. [deg]
+        A name of `LAYOUTS`, or the matrix itself: ``"mirror"``, ``"open"``, a polarizer's angle [deg], or a
+        filter's band such as ``"0.5-0.6"`` [µm].
     name
         What the user calls it.
 
     Raises
     ------
     ValueError
-        If the name is unknown, the matrix is not square, holds something else or more than one mirror.
+        If the name is unknown, the matrix is not square, holds something else, more than one mirror, or both
+        filters and polarizers.
     """
     if isinstance(layout, str):
         if layout not in LAYOUTS:
@@ -49,14 +55,25 @@ def superpixel(layout: str | Superpixel, name: str = "sensor.layout") -> Superpi
             f"got rows of {[len(row) for row in layout]}."
         )
     kinds = [what for row in layout for what in row]
-    strange = [w for w in kinds if w not in (MIRROR, OPEN) and not isinstance(w, float | int)]
+    filters = [w for w in kinds if filter_band(w)]
+    strange = [w for w in kinds if w not in (MIRROR, OPEN, *filters) and not isinstance(w, float | int)]
     if strange or not all(math.isfinite(w) for w in kinds if not isinstance(w, str)):
         raise ValueError(
-            f"`{name}` must hold {MIRROR!r}, {OPEN!r} or angles in degrees; got {strange or kinds}."
+            f"`{name}` must hold {MIRROR!r}, {OPEN!r}, angles in degrees or bands of filters in µm such as "
+            f"'0.5-0.6'; got {strange or kinds}."
         )
+    if filters and not all(isinstance(w, str) for w in kinds):
+        raise ValueError(f"`{name}` must hold filters or polarizers, not both; got {kinds}.")
     if kinds.count(MIRROR) > 1:
         raise ValueError(f"`{name}` must hold one mirror at most; got {kinds.count(MIRROR)}.")
     return tuple(tuple(w if isinstance(w, str) else float(w) for w in row) for row in layout)
+
+
+def filter_band(what: str | float) -> tuple[float, float] | None:
+    """Band of the filter over an element, None for an element of another kind. [µm]"""
+    found = _FILTER.fullmatch(what) if isinstance(what, str) else None
+    first, last = (float(um) for um in found.groups()) if found else (0.0, 0.0)
+    return (first, last) if first < last else None
 
 
 def check_demosaicker(method: str, layout: Superpixel, name: str = "sensor.demosaic") -> None:

@@ -11,17 +11,16 @@ from jaxtyping import Float
 from glintrack.core.arrays import Array
 from glintrack.core.installation import read_data
 from glintrack.core.records import Radiance
-from glintrack.core.spectral import band_response
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.exposure import light_on_elements, read_out
 from glintrack.sensor.layouts import OPEN
 from glintrack.sensor.lens_kernels import lens_kernels
 from glintrack.sensor.polarizer import load_polarizer
-from glintrack.sensor.response import element_response, photon_gain, photon_weights
+from glintrack.sensor.response import element_response, filtered_response, photon_gain, photon_weights
 from glintrack.sensor.sensor import Sensor, build_sensor
 
 _NOTHING = 1e-9  # electrons per photon: rounding in an analyser row
-Element = str | float | list[float]  # as in the file
+Element = str | float  # as in the file
 
 
 def read_presets() -> dict[str, dict[str, Any]]:
@@ -34,18 +33,12 @@ def element_curves(
 ) -> Float[Array, "3 wavelength"]:
     """Response of an element to I, Q and U of the light on it. [electrons per photon]"""
     bare, out = element_response(design, wavelength_um), np.zeros((3, len(wavelength_um)))
-    if element == OPEN:
-        out[0] = bare
-    elif isinstance(element, list):
-        out[0] = bare * band_response(element[0], element[1], wavelength_um)
-    else:
-        used, angle = bare > 0, math.radians(float(element))
-        row = load_polarizer(design).analyser_row(wavelength_um[used], angle)
-        out[:, used] = row[:, :3].T * bare[used]
-    if not out[0].any():
-        raise ValueError(
-            f"`sensor.band_um` must overlap the filter {element} µm of a preset; got {design.band_um}."
-        )
+    if isinstance(element, str):
+        out[0] = filtered_response(design, element, wavelength_um)
+        return out
+    used = bare > 0
+    row = load_polarizer(design).analyser_row(wavelength_um[used], math.radians(element))
+    out[:, used] = row[:, :3].T * bare[used]
     return out
 
 

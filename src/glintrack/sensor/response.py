@@ -16,6 +16,7 @@ from glintrack.core.spectral import band_response, channel_weights, quadrature_w
 from glintrack.io.spectra import read_spectra
 from glintrack.sensor.derivation import SILICON, am15g_light
 from glintrack.sensor.design import SensorDesign
+from glintrack.sensor.layouts import filter_band
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
 
 
@@ -31,6 +32,29 @@ def element_response(
     response = response * efficiency * design.optics_transmission
     if design.response is not None:
         response = response * _curve(design.response, "response", wavelength_um, "sensor.response")
+    return response
+
+
+def filtered_response(
+    design: SensorDesign, what: str, wavelength_um: Float[Array, "wavelength"]
+) -> Float[Array, "wavelength"]:
+    """Response of an element without a polarizer, and with the filter that its layout names, if any.
+
+    Returns
+    -------
+    Response. [electrons per photon]
+
+    Raises
+    ------
+    ValueError
+        If nothing of the filter's band is within that of the sensor.
+    """
+    bare, band = element_response(design, wavelength_um), filter_band(what)
+    if band is None:
+        return bare
+    response = bare * band_response(*band, wavelength_um)
+    if not response.any():
+        raise ValueError(f"`sensor.band_um` must overlap the filter {what} µm; got {design.band_um}.")
     return response
 
 
@@ -102,8 +126,9 @@ def response_curves(design: SensorDesign, wavelength_um: Float[Array, "wavelengt
 
     Returns
     -------
-    ``bare``; with polarizers ``pass`` and ``block``, for light of best and worst transmittance; with a
-    mirror ``spectrometer``, zero outside its range. [1]
+    ``bare``, but where all elements have filters; filters by their bands, such as ``0.5-0.6``; with
+    polarizers ``pass`` and ``block``, for light of best and worst transmittance; with a mirror
+    ``spectrometer``, zero outside its range. [1]
 
     Raises
     ------
@@ -111,7 +136,10 @@ def response_curves(design: SensorDesign, wavelength_um: Float[Array, "wavelengt
         If a table or curve does not cover the band.
     """
     wavelength_um = np.asarray(wavelength_um, dtype=float)
-    curves = {"bare": element_response(design, wavelength_um)}
+    kinds = [str(what) for row in design.superpixel for what in row]
+    filters = sorted({what for what in kinds if filter_band(what)})
+    curves = {} if set(kinds) == set(filters) else {"bare": element_response(design, wavelength_um)}
+    curves |= {what: filtered_response(design, what, wavelength_um) for what in filters}
     if design.has_stokes:
         row = analyser_response(design, load_polarizer(design), wavelength_um)
         difference = np.hypot(row[1], row[2])

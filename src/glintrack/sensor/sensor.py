@@ -21,6 +21,7 @@ from glintrack.sensor.response import (
     analyser_response,
     electrons,
     element_response,
+    filtered_response,
     photon_gain,
     photon_weights,
     reference_light,
@@ -46,8 +47,8 @@ class Sensor:
     wavelength_um
         Grid of the radiance. [µm]
     channels
-        Spectral weights for the renderer: pan first, then those of the polarizers' analyser rows, where they
-        have another shape. [1]
+        Spectral weights for the renderer: pan first, then those of the polarizers' analyser rows and of the
+        filters, where they have another shape. [1]
     planes
         (channel, Stokes component) of all planes of light that some element responds to.
     element_gains
@@ -230,8 +231,12 @@ def _elements(design: SensorDesign, polarizer: Polarizer, wavelength_um: Array) 
     rows = {}  # element -> plane -> electrons
     for i, row in enumerate(design.superpixel):
         for j, what in enumerate(row):
-            bare_row = {(0, 0): photon_gain(design, wavelength_um, bare)}
-            rows[i, j] = bare_row if isinstance(what, str) else _rotate_row(own, 2 * math.radians(what))
+            if not isinstance(what, str):
+                rows[i, j] = _rotate_row(own, 2 * math.radians(what))
+                continue
+            curve = filtered_response(design, what, wavelength_um)
+            channel, _ = _channel_of(channels, photon_weights(wavelength_um, curve))
+            rows[i, j] = {(channel, 0): photon_gain(design, wavelength_um, curve)}
     seen = {plane for gains in rows.values() for plane, gain in gains.items() if gain}
     # Q and U of a channel always both: they mix in an element with an axis error
     planes = tuple(sorted({(c, k) for c, part in seen for k in ((0,) if part == 0 else (1, 2))}))

@@ -43,10 +43,10 @@ def draw_response(axes: Axes, curves: xr.Dataset) -> None:
         "block": ("polarizer, light along the wires", "--", "#b81a63"),
         "spectrometer": ("mirror in the spectrometer", "-.", "#2f5fd0"),
     }
-    for name, (label, style, colour) in looks.items():
-        if name in curves:
-            width = 4 if name == "bare" else 1.5  # often the same as another
-            axes.plot(curves["wavelength"], curves[name], style, color=colour, label=label, lw=width)
+    for name in map(str, curves.data_vars):
+        label, style, colour = looks.get(name, (f"filter {name} µm", "-", None))
+        width = 4 if name == "bare" else 1.5  # often the same as another
+        axes.plot(curves["wavelength"], curves[name], style, color=colour, label=label, lw=width)
     title = "elements" + (f", polarizers {curves.attrs['polarizer']}" if "pass" in curves else "")
     label_axes(axes, "wavelength [µm]", "electrons per photon at the lens", title, ylim=(0, None))
     axes.legend(frameon=False, fontsize="small")

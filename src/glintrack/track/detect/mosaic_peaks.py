@@ -108,7 +108,7 @@ def no_peaks(channel: str) -> Peaks:
 def select_elements(layout: tuple[tuple[str | float, ...], ...], channel: str) -> tuple[tuple[int, int], ...]:
     """Select the elements of a superpixel that a channel searches.
 
-    Without a mirror or an open element, pan is the polarizers.
+    Pan is all elements without a polarizer; without such elements it is the polarizers.
 
     Raises
     ------
