@@ -295,7 +295,7 @@ def fit_detector(folder: Path) -> None:
     models = {channel: LogisticModel(FEATURES[channel], law[0], law[1:]) for channel, law in laws.items()}
     ratios = {channel: round(share, 2) for channel, share in shares.items()}
     constants = {**read_calibration("mosaic").constants, "place": places, "detection_ratio": ratios}
-    valid = validity({"max_speed_m_s": [22.0]})
+    valid = validity({"layout": "mirror-0-60-120", "max_speed_m_s": [22.0]})
     write_calibration("mosaic", Calibration(SOURCE, valid, models, constants))
 
 

@@ -10,7 +10,7 @@ from glintrack.sensor import SensorDesign, build_preset, read_arrays, read_prese
 
 GRID_UM = wavelength_grid(0.4, 1.0)
 DESIGN = SensorDesign(rows=96, columns=128, polarizer="ideal")
-NAMES = ("pan", "superpixel", "depolarized", "polarimeter", "four_bands", "rgb", "pan_and_bands")
+NAMES = ("pan", "superpixel", "depolarized", "polarimeter", "four-bands", "rgb", "pan-and-bands")
 VEHICLES = 16
 FALSE_PER_KM2 = 50
 KM2 = 6 / FALSE_PER_KM2 / (48 * 64)  # of a superpixel: six false objects in a frame
@@ -77,8 +77,8 @@ def found(sensors, name, **signal):
 @pytest.mark.parametrize(
     ("signal", "able", "blind"),
     [
-        ({"polarization": 0.12}, ("polarimeter", "superpixel"), ("pan", "depolarized", "four_bands")),
-        ({"colour": 0.3}, ("four_bands", "rgb", "pan_and_bands"), ("pan", "superpixel")),
+        ({"polarization": 0.12}, ("polarimeter", "superpixel"), ("pan", "depolarized", "four-bands")),
+        ({"colour": 0.3}, ("four-bands", "rgb", "pan-and-bands"), ("pan", "superpixel")),
         ({"level": 1.3}, ("pan", "superpixel"), ()),
     ],
     ids=["polarization", "colour", "level"],
@@ -103,7 +103,7 @@ def recognized(sensors, name, **signal):
 def test_a_vehicle_is_recognized_by_what_differs_between_vehicles(sensors):
     assert recognized(sensors, "polarimeter", polarization=0.25)["auc"] > 0.9
     assert abs(recognized(sensors, "pan", polarization=0.25)["auc"] - 0.5) < 0.1
-    assert recognized(sensors, "four_bands", colour=0.5)["auc"] > 0.9
+    assert recognized(sensors, "four-bands", colour=0.5)["auc"] > 0.9
     assert abs(recognized(sensors, "superpixel", colour=0.5)["auc"] - 0.5) < 0.1
     one = recognized(sensors, "rgb")
     assert abs(one["auc"] - 0.5) < 0.1 and one["vehicles"] == 3 * VEHICLES

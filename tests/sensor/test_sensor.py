@@ -10,7 +10,7 @@ from scipy.constants import c, h
 
 from glintrack import stokes
 from glintrack.camera import Pose, ground_points, look_at
-from glintrack.core.records import ServedQueries, SpectralQuery
+from glintrack.core.records import NONE_SERVED, SpectralQuery
 from glintrack.core.spectral import wavelength_grid
 from glintrack.sensor import (
     build_sensor,
@@ -25,7 +25,6 @@ GRID = wavelength_grid(0.4, 1.0)
 SIGMAS = 5.0  # of the mean over a frame: one false alarm in a million
 QUIET = {"integration_time_ms": 0.1, "read_noise_e": 0.0, "bits": 24, "full_well_e": 1e9}
 SHARP = {"spot_sigma_um": 0.0, "f_number": 0.5}  # no aberration; a diffraction spot far below an element
-NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 
 
 def sensor_of(**design):

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from glintrack.camera import Pose, ground_points, look_at
-from glintrack.core.records import ServedQueries, SpectralQuery
+from glintrack.core.records import NONE_SERVED, SpectralQuery
 from glintrack.sensor import expose, fill_dark_mirrors, measure_spectra, serve, spectrometer
 from tests.sensor.light import GRID, picture, sensor_of, uniform
 
@@ -127,8 +127,7 @@ def test_dark_mirrors_are_filled_as_asked(way):
     queries = tuple(query_at(sensor, int(r), int(c)) for r, c in zip(rows, columns, strict=True))
     served = serve(queries, sensor, POSE)
     assert served.is_served.all()
-    none = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
-    truth = expose(radiance, sensor, none, np.random.default_rng(3))["pan"].values
+    truth = expose(radiance, sensor, NONE_SERVED, np.random.default_rng(3))["pan"].values
     frame = expose(radiance, sensor, served, np.random.default_rng(3))
     spectra = measure_spectra(served, radiance, sensor, np.random.default_rng(4))
     filled = fill_dark_mirrors(frame, served, spectra, sensor)

@@ -13,6 +13,7 @@ from glintrack.core.schema import MIN_SCORED_S
 from glintrack.scene.design import SHIPPED_DURATION_S
 from glintrack.sensor.catalogue import find_item
 from glintrack.sensor.derivation import DEFAULT_F_NUMBER, derived_values
+from glintrack.sensor.layouts import filter_band, places, superpixel
 
 Polarizers = Literal["none", "superpixel", "2x2"]
 MOSAICS: dict[Polarizers, tuple[str, str]] = {
@@ -21,7 +22,6 @@ MOSAICS: dict[Polarizers, tuple[str, str]] = {
     "2x2": ("0-45-90-135", "four polarizer angles on the array"),
 }
 Filters = Literal["rgb", "four-bands"]
-FILTER_BANDS: dict[Filters, list[float]] = {"rgb": [0.4, 0.7], "four-bands": [0.45, 0.9]}
 CAMERA = {"polarizer": "constant", "polarizer_transmittance": 0.8, "polarizer_extinction_ratio": 300.0}
 OPTIONS = {  # that give a key of [sensor], and that name an item of the catalogue with it
     **dict.fromkeys(("columns", "rows"), ("--pixels", "--sensor")),
@@ -73,9 +73,8 @@ def case_text(
     path["frames"] = frames, f"{frames / rate_hz:.3g} s"
     sensor = _array_entries(polarizers, detector, rate_hz, filters)
     _add_figures(sensor, camera, lens)
-    top: Entries = (
-        {"channels": (["pan"], "without polarizers")} if sensor["layout"][0] in ("pan", *FILTER_BANDS) else {}
-    )
+    polarized = places(superpixel(sensor["layout"][0]), "polarizer")
+    top: Entries = {} if polarized else {"channels": (["pan"], "without polarizers")}
     tables = {"": top, "flight": path, "sensor": sensor}
     drawn = _case_of(tables, name)
     (across_m, along_m), (wide_m, high_m) = ground_view(drawn)
@@ -156,7 +155,9 @@ def _array_entries(
                 f"{entries['layout'][0]}."
             )
         entries["layout"] = filters, "colour filters, with ideal edges"
-        entries["band_um"] = FILTER_BANDS[filters], "of the filters; beyond it a filter blocks, assumed"
+        bands = [filter_band(what) for row in superpixel(filters) for what in row]
+        ends_um = [um for band in bands if band for um in band]
+        entries["band_um"] = [min(ends_um), max(ends_um)], "from the first filter to the last"
     if polarizers == "2x2":
         entries |= {key: (value, "assumed") for key, value in CAMERA.items()}
     return entries

@@ -42,7 +42,10 @@ def describe_array(case: Case) -> str:
     layout = sensor.layout if isinstance(sensor.layout, str) else "given elements"
     polarizers = f"polarizers {sensor.polarizer!r}" if sensor.has_stokes else "no polarizers"
     mirror = ", a micromirror in each superpixel" if sensor.has_mirror else ""
-    return f"array: mosaic {layout!r}, {polarizers}{mirror}. Tracked channels: {', '.join(case.channels)}"
+    fitted = read_calibration("mosaic").valid["layout"]
+    other = "" if layout == fitted else f". Detector and tracker were fitted to {fitted!r} alone"
+    channels = ", ".join(case.channels)
+    return f"array: mosaic {layout!r}, {polarizers}{mirror}{other}. Tracked channels: {channels}"
 
 
 def detector_binning(case: Case) -> int:

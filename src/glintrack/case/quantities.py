@@ -26,14 +26,8 @@ from glintrack.flight import Flight, FlightDesign
 from glintrack.scene import City
 from glintrack.sensor import image_motion, with_lens
 from glintrack.sensor.exposure import FULL_SHARE
-from glintrack.sensor.layouts import MIRROR, OPEN
 from glintrack.sensor.polarizer import load_polarizer
-from glintrack.sensor.response import (
-    analyser_response,
-    element_response,
-    filtered_response,
-    photon_gain,
-)
+from glintrack.sensor.response import analyser_response, filtered_response, photon_gain
 from glintrack.sensor.wavefront import modulation_transfer
 
 CAR_M = (4.5, 1.8)
@@ -189,22 +183,18 @@ class ElementLight(NamedTuple):
 
 
 def ground_light(case: Case) -> ElementLight:
-    """Derive the electrons of an element in the case's sun and haze, at the exposure that is used.
-
-    Of filters alone it is their mean.
-    """
+    """Derive the electrons of the brightest element in the case's sun and haze, at the exposure in use."""
     sensor, um = case.sensor, np.asarray(case.atmosphere.wavelength_um)
-    kinds = [what for row in sensor.superpixel for what in row]
-    if any(what in (OPEN, MIRROR) for what in kinds):
-        response = element_response(sensor, um)
-    elif sensor.has_stokes:
-        response = analyser_response(sensor, load_polarizer(sensor), um)[0]
-    else:
-        response = np.mean([filtered_response(sensor, str(what), um) for what in kinds], axis=0)
-    weights = quadrature_weights(um) * um * response
+    photons, light = quadrature_weights(um) * um, ground_irradiance(case, um)
+    kinds = {what for row in sensor.superpixel for what in row if isinstance(what, str)}
+    responses = [filtered_response(sensor, what, um) for what in kinds] or [
+        analyser_response(sensor, load_polarizer(sensor), um)[0]
+    ]
+    response = max(responses, key=lambda one: float(photons @ (one * light)))
+    weights = photons * response
     if not weights.sum() > 0:
         return ElementLight(0.0, 0.0, 0.0)
-    radiance = float(weights @ ground_irradiance(case, um) / weights.sum()) / math.pi  # of a white ground
+    radiance = float(weights @ light / weights.sum()) / math.pi  # of a white ground
     white_e = radiance * photon_gain(sensor, um, response)
     passed = haze_transmittance(case)
     haze_e = white_e * AIRLIGHT * (1 - passed)

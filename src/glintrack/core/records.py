@@ -123,6 +123,9 @@ class ServedQueries:
         return self.rows >= 0
 
 
+NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
+
+
 @dataclass(frozen=True)
 class GroundPlace:
     """Position of a rectified raster on the map.

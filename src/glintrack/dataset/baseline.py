@@ -10,11 +10,12 @@ import xarray as xr
 
 from glintrack.camera import Pose
 from glintrack.case.build import Scenario, build_scenario
+from glintrack.core.records import NONE_SERVED
 from glintrack.core.schema import RADIANCE
 from glintrack.dataset.annotations import read_rows
 from glintrack.dataset.build import read_plan
 from glintrack.dataset.plan import DatasetPlan
-from glintrack.dataset.shards import NONE_SERVED, POSE, readings_of
+from glintrack.dataset.shards import POSE, readings_of
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.raw_mosaics import read_raw
 from glintrack.metrics import score_rows

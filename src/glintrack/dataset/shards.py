@@ -17,7 +17,7 @@ from glintrack.camera import Pose
 from glintrack.case.build import Scenario
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
-from glintrack.core.records import ServedQueries
+from glintrack.core.records import NONE_SERVED
 from glintrack.core.schema import RADIANCE
 from glintrack.dataset.plan import Shard
 from glintrack.io.atomic import content_hash, write_text
@@ -31,7 +31,6 @@ from glintrack.results.epoch import BOX_COLUMNS as FRAME_COLUMNS
 from glintrack.results.epoch import SceneView, box_rows, label_mask, vehicle_boxes
 from glintrack.sensor import Sensor, frame_of, noiseless_frame, read_out
 
-NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 _MAX_COUNT = 65535
 BOX_COLUMNS = (*FRAME_COLUMNS, "speed_m_s")
 TRUTH_COLUMNS = (

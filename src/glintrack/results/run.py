@@ -19,7 +19,7 @@ from glintrack.case.build import build_scenario, trace_frame
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
 from glintrack.core.progress import listen
-from glintrack.core.records import ServedQueries
+from glintrack.core.records import NONE_SERVED
 from glintrack.io.atomic import result_folder
 from glintrack.io.detections import read_tracks, read_truth
 from glintrack.io.orthoimages import Geotransform
@@ -224,9 +224,8 @@ def expose(case: Case | str | Path = "quickstart", frame: int = 0) -> Exposure:
 def expose_view(case: Case, view: FrameView) -> Exposure:
     """Expose a traced frame with the sensor of a case."""
     sensor = build_sensor(case.sensor, view.sky.wavelength_um)
-    nothing = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
     noise = frame_rngs(case.seed, view.frame).noise
-    exposed = expose_light(view.radiance, sensor, nothing, noise, view.time_s)
+    exposed = expose_light(view.radiance, sensor, NONE_SERVED, noise, view.time_s)
     city = view.city
     pose = PlacedPose(view.pose, city.crs, (city.origin_easting_m, city.origin_northing_m))
     return Exposure(exposed, sensor.camera, pose, sensor)

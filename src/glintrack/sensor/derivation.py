@@ -70,7 +70,7 @@ def integration_time(known: Mapping[str, Any]) -> float:
     layout = known["layout"]
     rows = LAYOUTS.get(layout, ((layout,),)) if isinstance(layout, str) else layout
     kinds = [what for row in rows for what in row]
-    has_bare_element = any(isinstance(what, str) for what in kinds)
+    has_unpolarized = any(isinstance(what, str) for what in kinds)
     efficiency = known["quantum_efficiency"]
     if isinstance(efficiency, str) and efficiency != "silicon":
         efficiency = DEFAULT_EFFICIENCY
@@ -80,7 +80,7 @@ def integration_time(known: Mapping[str, Any]) -> float:
         * (1 - known["optics"].obscuration ** 2)
         * known["fill_factor"]
         * (known["optics_transmission"] / DEFAULT_TRANSMISSION)
-        * (1.0 if has_bare_element else 0.5 * known["polarizer_transmittance"])
+        * (1.0 if has_unpolarized else 0.5 * known["polarizer_transmittance"])
         * max(_relative_signal(band_um, efficiency) for band_um in _element_bands_um(known, kinds))
     )
     time_ms = _EXPOSURE_MS * (known["full_well_e"] / _FULL_WELL_E) / max(light, 1e-9)

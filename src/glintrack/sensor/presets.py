@@ -13,14 +13,13 @@ from glintrack.core.installation import read_data
 from glintrack.core.records import Radiance
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.exposure import light_on_elements, read_out
-from glintrack.sensor.layouts import OPEN
+from glintrack.sensor.layouts import OPEN, Superpixel, superpixel
 from glintrack.sensor.lens_kernels import lens_kernels
 from glintrack.sensor.polarizer import load_polarizer
 from glintrack.sensor.response import element_response, filtered_response, photon_gain, photon_weights
 from glintrack.sensor.sensor import Sensor, build_sensor
 
 _NOTHING = 1e-9  # electrons per photon: rounding in an analyser row
-Element = str | float  # as in the file
 
 
 def read_presets() -> dict[str, dict[str, Any]]:
@@ -29,7 +28,7 @@ def read_presets() -> dict[str, dict[str, Any]]:
 
 
 def element_curves(
-    element: Element, design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
+    element: str | float, design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
 ) -> Float[Array, "3 wavelength"]:
     """Response of an element to I, Q and U of the light on it. [electrons per photon]"""
     bare, out = element_response(design, wavelength_um), np.zeros((3, len(wavelength_um)))
@@ -51,11 +50,12 @@ def build_preset(
 
 
 def _build_array(
-    design: SensorDesign, wavelength_um: Array, light: float, elements: Sequence[Sequence[Element]]
+    design: SensorDesign, wavelength_um: Array, light: float, elements: str | Superpixel
 ) -> Sensor:
-    side = len(elements)
+    kinds = superpixel(elements, "elements")
+    side = len(kinds)
     design = design.replace({"layout": ((OPEN,) * side,) * side, "demosaic": "superpixel"})
-    curves = np.array([[element_curves(what, design, wavelength_um) for what in row] for row in elements])
+    curves = np.array([[element_curves(what, design, wavelength_um) for what in row] for row in kinds])
     used = np.argwhere(np.abs(curves).max(axis=-1) > _NOTHING)  # row, column, component
     weights = np.array([photon_weights(wavelength_um, curves[tuple(one)]) for one in used])
     signs = np.sign(weights.sum(axis=1))

@@ -46,9 +46,8 @@ def query_predictions(state: TrackerState, column_of: ColumnOf | None) -> tuple[
     The queries: none if the design queries detections (`query_detections`).
     """
     design = state.design
-    if column_of is None or state.interval_s == 0 or design.query.at != "prediction":
-        return ()
-    if design.query.policy == "none":
+    asks = design.query.policy != "none" and design.query.at == "prediction"
+    if column_of is None or state.interval_s == 0 or not asks:
         return ()
     promising = np.bitwise_count(state.targets.history) >= 2
     motion = motion_model(design, state.interval_s)
