@@ -156,7 +156,7 @@ GOOD = np.full((8, 8), 100, np.uint16)
         ({"a": GOOD}, ("--black", 90, "--white", 80), "`white_level` must be above black_level, 90 counts"),
         ({"a": GOOD.astype(np.uint8)}, ("--black", 300), "`black_level` must be below that of a full"),
         ({"a": GOOD}, ("--layout", "135-0"), "`layout` must be one of mirror-0-60-120, 0-45-90-135"),
-        ({"a": GOOD}, ("--layout", "0 x / 45 90"), "`layout` must hold 'mirror', 'open', angles in degrees or"),
+        ({"a": GOOD}, ("--layout", "0 x / 45 90"), "`layout` must hold 'mirror', 'open', angles in degrees"),
         ({"a": GOOD}, ("--calibration", "none.nc"), "`calibration` must be a readable file; got none.nc"),
         ({"a": GOOD}, ("--saturated", 2), "`max_saturated` must be"),
         ({"a": GOOD}, ("--rate", 0), "`--rate` must be greater than or equal to 0.001 Hz; got 0 Hz"),

@@ -1,6 +1,7 @@
 """Build a city from a design, and evaluate its meshes, instances and traffic at any time."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import xarray as xr
@@ -187,6 +188,8 @@ class City:
 def build_scene(design: SceneDesign) -> City:
     """Build a city and its traffic from a design.
 
+    A city that names no file is kept for the next case of the process, as of a study; treat it as read-only.
+
     Parameters
     ----------
     design
@@ -197,6 +200,18 @@ def build_scene(design: SceneDesign) -> City:
     ValueError
         If a file is missing or bad, or an extra or a system library is missing.
     """
+    of_files = any(value for key, value in design if key.endswith("_file"))
+    city = _build(design) if of_files else _keep(design)
+    warn_of_jam(city.traffic, city.extent_m)
+    return city
+
+
+@lru_cache(maxsize=1)
+def _keep(design: SceneDesign) -> City:
+    return _build(design)
+
+
+def _build(design: SceneDesign) -> City:
     options = design.polarized_bases, design.material_variation
     library, mesh_materials = load_materials(*options), {}
     if design.materials_file:
@@ -206,7 +221,6 @@ def build_scene(design: SceneDesign) -> City:
     site = SITES[design.city](design)
     panels = _panels(design, index, site.extent_m)  # a mesh's window is its own
     traffic = site.recording.traffic
-    warn_of_jam(traffic, site.extent_m)
     layout_rng, mesh_rng = np.random.default_rng(design.seed).spawn(2)
     terrain, origin_height_m = _terrain(design, site)
     vehicles = build_models(index)

@@ -163,16 +163,20 @@ def clip(shape: BaseGeometry, bounds_m: tuple[float, float, float, float]) -> Ba
 
 def flat(shape: BaseGeometry, height_m: float) -> Patch:
     """Level surface over a plan shape with its holes, facing up."""
-    patches = []
-    for polygon in polygons(shape):
-        closed, ring = shapely.get_coordinates(shapely.get_rings(polygon), return_index=True)
-        corners = closed[:-1][ring[1:] == ring[:-1]]  # each ring's last is its first
-        ends = np.cumsum(np.bincount(ring) - 1, dtype=np.uint32)
-        faces = mapbox_earcut.triangulate_float64(corners, ends).reshape(-1, 3).astype(int)
-        vertices = np.full((len(corners), 3), height_m, float)
-        vertices[:, :2] = corners
-        patches.append(facing_up((vertices, faces)))
-    return join(patches)
+    if not (parts := polygons(shape)):
+        return EMPTY
+    rings, part = shapely.get_rings(parts, return_index=True)
+    closed, ring = shapely.get_coordinates(rings, return_index=True)
+    inner = np.append(ring[1:] == ring[:-1], False)  # each ring's last corner is its first
+    corners, ring = closed[inner], ring[inner]
+    faces, first = [EMPTY[1]], 0
+    for sizes in np.split(np.bincount(ring), np.flatnonzero(np.diff(part)) + 1):
+        last = first + sizes.sum()
+        cut = mapbox_earcut.triangulate_float64(corners[first:last], np.cumsum(sizes, dtype=np.uint32))
+        faces.append(cut.reshape(-1, 3).astype(int) + first)
+        first = last
+    vertices = np.column_stack([corners, np.full(len(corners), height_m)])
+    return facing_up((vertices, np.concatenate(faces)))
 
 
 def facing_up(patch: Patch) -> Patch:

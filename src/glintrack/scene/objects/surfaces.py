@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 import xarray as xr
 from jaxtyping import Float
-from shapely.geometry import LineString, Polygon, box
+from shapely.geometry import LineString, MultiPolygon, Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring, unary_union
 
@@ -187,8 +187,8 @@ def add_ground(
     mark = builder.mark()
 
     def lay(material: str, shape: BaseGeometry, height_m: float) -> None:
-        for piece in cut_into_tiles(shape) if terrain is None else cut_into_tiles(shape, STEP_M):
-            builder.add(material, flat(piece, height_m))
+        pieces = cut_into_tiles(shape) if terrain is None else cut_into_tiles(shape, STEP_M)
+        builder.add(material, flat(MultiPolygon(pieces), height_m))
 
     lay("asphalt", streets.carriageway, ROAD_M)
     lay("kerb", streets.kerb, PAVEMENT_M)
