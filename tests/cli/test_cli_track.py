@@ -162,6 +162,14 @@ def test_features_tell_two_cars_apart_that_meet(tmp_path):
     assert purity["f0", "f1"] == 1.0 and purity[()] < 0.9
 
 
+def test_an_index_that_pandas_wrote_is_no_feature(tmp_path):
+    detections, _ = crossing()
+    for name, index in (("with.csv", True), ("without.csv", False)):
+        detections.to_csv(tmp_path / name, index=index)
+    names = [read_detections(tmp_path / name).feature_names for name in ("with.csv", "without.csv")]
+    assert names[0] == names[1]
+
+
 def test_nothing_detected_is_fine(tmp_path, monkeypatch, capsys):
     (tmp_path / "d.csv").write_text("time_s,east_m,north_m\n")
     code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out")

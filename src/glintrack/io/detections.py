@@ -77,7 +77,8 @@ def read_detections(
     ----------
     path
         Columns ``time_s, east_m, north_m``; optionally ``east_var_m2, north_var_m2, east_north_cov_m2``.
-        Every other column of numbers is a feature, except those that contain an answer (`NO_FEATURE`).
+        Every other column of numbers with a name is a feature, except those that contain an answer
+        (`NO_FEATURE`).
     sigma_m
         Standard deviation of each coordinate if the file holds no variances. [m]
     feature_names
@@ -110,6 +111,7 @@ def read_detections(
                 f"within {extent_m:.2g} m of each other. Project them first."
             )
     others = [c for c in table.columns if c not in ("time_s", *POSITION, *COVARIANCE, *NO_FEATURE)]
+    others = [c for c in others if not c.startswith("Unnamed: ")]  # an index that pandas wrote
     names = tuple(others) if feature_names is None else feature_names
     if missing := [n for n in names if n not in table.columns]:
         known = plain(", ".join(map(str, table.columns)), _MAX_TEXT)

@@ -88,14 +88,21 @@ def open_frames(
     times_s
         Times of all frames, which replace their own and the rate. [s]
 
+    Returns
+    -------
+    The frames, without those that are equal to the one before: a vehicle would seem to stop in them.
+
     Raises
     ------
     ValueError
         In one sentence: the requirement and what was found.
     """
-    if times_s is not None:
-        source = open_frames(path, 1.0, geotransform)
-        return replace(source, frames=_replace_times(source.frames, times_s, path))
+    source = _open(path, rate_hz if times_s is None else 1.0, geotransform)
+    frames = source.frames if times_s is None else _replace_times(source.frames, times_s, path)
+    return replace(source, frames=_leave_out_repeated(frames, path))
+
+
+def _open(path: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
     if rate_hz is not None:
         check_rate(rate_hz)
     if geotransform is not None:
@@ -111,6 +118,21 @@ def open_frames(
         return _video(path, rate_hz, geotransform)
     known = " ".join((*STACKS, *VIDEOS))
     raise ValueError(f"`frames` must be a folder of rasters, a stack or a video ({known}); got {path}.")
+
+
+def _leave_out_repeated(
+    frames: Iterator[tuple[float, xr.Dataset]], path: Path
+) -> Iterator[tuple[float, xr.Dataset]]:
+    found, used, before = 0, 0, np.empty(0)
+    for time_s, image in frames:
+        found += 1
+        if np.array_equal(pan := image["pan"].values, before, equal_nan=True):
+            continue
+        used, before = used + 1, pan
+        yield time_s, image
+    if used < found:
+        left_out = {"equal to the frame before": found - used}
+        report_reading(path, "frames compared", found, used, left_out)
 
 
 def _replace_times(
@@ -258,6 +280,8 @@ def _raster(path: Path, geotransform: Geotransform | None) -> _PlacedRaster:
     t, crs = raster.transform, raster.crs
     if geotransform is not None and not t.is_identity:
         warnings.warn("--geotransform replaces the position in the files", stacklevel=2)
+    if crs is not None:
+        metric_crs(crs.to_wkt())
     if geotransform is None:
         if t.is_identity:
             raise ValueError(
@@ -271,8 +295,6 @@ def _raster(path: Path, geotransform: Geotransform | None) -> _PlacedRaster:
             )
         geotransform = Geotransform(t.c, t.f, t.a)
         check_grid(geotransform, f"`frames` ({path.name})")
-    if crs is not None:
-        metric_crs(crs.to_wkt())
     bands = dict(zip(raster.names, raster.bands, strict=True))
     bands.pop("occluded", None)  # of glintrack ortho; hidden cells have no data
     crs = crs.to_string() if crs else None
