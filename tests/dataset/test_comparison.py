@@ -54,6 +54,19 @@ def test_positions_are_right_false_or_neither(painted):
     assert found.f1 == pytest.approx(2 * asked / (2 * asked + 2))
 
 
+def test_tracks_that_pass_each_other_keep_their_vehicles(painted):
+    """Two vehicles 3 m apart whose positions are 2 m off, each toward the other: no identity changes."""
+    places = [(k, v, True, 20.0 + 3 * v + 8 * k, -20.0) for k in range(3) for v in range(2)]
+    labels = with_speeds(pd.DataFrame(places, columns=LABEL_COLUMNS), painted.times_s)
+    scene = LabelledSequence(painted.times_s, painted.frames, 1.0, labels, painted.areas)
+    rows = labels.assign(track_id=labels["vehicle_id"])
+    toward = np.where(rows["frame"] == 1, 2.0 - 4.0 * rows["vehicle_id"], 0.0)
+    found = match_positions(scene, rows.assign(east_m=rows["east_m"] + toward), "all")
+    assert found.labels["found"].all() and count_switches(found.labels) == 0
+    other = rows.assign(track_id=rows["track_id"] + 10 * (rows["frame"] > 0))
+    assert count_switches(match_positions(scene, other, "all").labels) == 2
+
+
 def test_a_painted_sequence_is_measured(painted):
     """All cars are detected and tracked, and the table has one line for each number."""
     numbers = measure(painted, "all")

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from glintrack.io.images import write_frame
-from glintrack.io.orthoimages import Geotransform, image_of, open_frames
+from glintrack.io.orthoimages import Geotransform, image_of, leave_out_repeated, open_frames
 from glintrack.io.readings import collect_readings
 
 HERE = Geotransform(0.0, 0.0, 1.0)
@@ -34,12 +34,11 @@ def test_frames_that_repeat_are_left_out_and_told(tmp_path):
     """As of a video that repeats each picture of a slower camera: in its second a vehicle would stand."""
     for k, level in enumerate((20, 20, 90, 90, 20)):
         write(tmp_path, f"{k}.png", level)
+    source = leave_out_repeated(open_frames(tmp_path, 2.0, HERE), tmp_path)
     with collect_readings() as read:
-        frames = [(t, float(image["pan"].mean())) for t, image in open_frames(tmp_path, 2.0, HERE).frames]
-    assert frames == [(0.0, 20.0), (1.0, 90.0), (2.0, 20.0)]
+        frames = [(t, float(image["pan"].mean())) for t, image in source.frames]
+    assert frames == [(0.0, 20.0), (1.0, 90.0), (2.0, 20.0)] and source.times_s == [0.0, 0.5, 1.0, 1.5, 2.0]
     assert (read[-1].found, read[-1].used, read[-1].left_out) == (5, 3, (("equal to the frame before", 2),))
-    times_s = [0.0, 0.3, 1.0, 1.3, 2.2]
-    assert [t for t, _ in open_frames(tmp_path, None, HERE, times_s).frames] == [0.0, 1.0, 2.2]
 
 
 def test_a_world_file_says_where(tmp_path):

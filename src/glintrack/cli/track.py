@@ -18,7 +18,13 @@ from glintrack.io import atomic
 from glintrack.io.crs import metric_crs, warn_off_map
 from glintrack.io.detections import DetectionTable, read_detections, read_truth
 from glintrack.io.map_files import TrackGeoreference
-from glintrack.io.orthoimages import FrameSource, Geotransform, open_frames, read_frame_times
+from glintrack.io.orthoimages import (
+    FrameSource,
+    Geotransform,
+    leave_out_repeated,
+    open_frames,
+    read_frame_times,
+)
 from glintrack.io.readings import report_reading
 from glintrack.io.toml import read_toml
 from glintrack.io.tracks import WRITERS, track_table, write_tables
@@ -131,10 +137,12 @@ def track_files(
             frames = rectify_frames(source, lens, poses, ground, **options)
         else:
             frames = open_frames(source, rate_hz, grid, times_s)
+        frames = leave_out_repeated(frames, source)
         if crs is not None and frames.crs is not None and metric_crs(crs) != metric_crs(frames.crs):
             raise ValueError(f"`crs` must be the frames' own, {frames.crs}; got {crs}. Leave --crs out.")
         if uses_stabilization:
-            frames = stabilize_frames(console, source, frames, open_frames(source, rate_hz, grid, times_s))
+            again = leave_out_repeated(open_frames(source, rate_hz, grid, times_s), source)
+            frames = stabilize_frames(console, source, frames, again)
         film = FrameFilm() if has_page else None
         rows, place = _track_frames(console, source, frames, tracker, film)
         place = replace(place, crs=crs or frames.crs)
@@ -182,20 +190,20 @@ def _track_frames(
     reports = track_frames(images if film is None else film.record(images), tracker)
     with Bar(console, transient=True) as bar:
         reports = list(bar.track(reports, frames.count, description="tracking"))
-    times_s = sorted({time_s for time_s, _ in reports})
-    if tracker.detect.detector == FRAMES_DESIGN.detect.detector and len(times_s) < MIN_FRAMES:
+    used_s = sorted({time_s for time_s, _ in reports})
+    if tracker.detect.detector == FRAMES_DESIGN.detect.detector and len(used_s) < MIN_FRAMES:
         raise ValueError(
             f"`frames` must be at least {MIN_FRAMES}, through which a vehicle is seen to move; "
-            f"got {len(times_s)} in {source}."
+            f"got {len(used_s)} in {source}."
         )
-    place = TrackGeoreference(times_s=times_s)
+    place = TrackGeoreference(times_s=frames.times_s)
     for _, image in first:
         x, y = image["x"].values, image["y"].values
         cell = float(abs(x[1] - x[0])) if len(x) > 1 else 1.0
         place = replace(place, area_m=Extent.of_cells(x, y, cell), cell_m=cell)
     rows = as_rows(reports)
     if tracker.reporting.history and rows.sizes:
-        rows = rows.isel(row=is_lasting(rows, times_s[-1]))
+        rows = rows.isel(row=is_lasting(rows, used_s[-1]))
     return rows, place
 
 

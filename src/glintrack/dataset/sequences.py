@@ -168,7 +168,8 @@ class Matches:
 def match_positions(sequence: LabelledSequence, rows: pd.DataFrame, area: str) -> Matches:
     """Match positions with labels, one to one in each frame within `NEAR_M`.
 
-    A position that is not matched is false, unless it is near a label that is not asked.
+    As in CLEAR MOT, a track keeps the vehicle of the frame before while it is near. A position that is not
+    matched is false, unless it is near a label that is not asked.
 
     Parameters
     ----------
@@ -183,15 +184,21 @@ def match_positions(sequence: LabelledSequence, rows: pd.DataFrame, area: str) -
     frames, asked = labels["frame"].to_numpy(int), labels["asked"].to_numpy(bool)
     label_m, place_m = (of[["east_m", "north_m"]].to_numpy(float) for of in (labels, rows))
     found, track_id = np.zeros(len(labels), bool), np.full(len(labels), -1)
-    is_false = np.zeros(len(rows), bool)
+    tracks, is_false = rows["track_id"].to_numpy(int), np.zeros(len(rows), bool)
+    vehicle = np.unique(labels["vehicle_id"], return_inverse=True)[1]
+    before = np.full(len(labels), -1)  # track of each vehicle in the frame before
     for k in range(len(sequence.times_s)):
         row = np.flatnonzero(rows["frame"].to_numpy() == k)
         scored, ignored = (np.flatnonzero((frames == k) & (asked == flag)) for flag in (True, False))
         distance_m, to_ignored_m = (cdist(place_m[row], label_m[label]) for label in (scored, ignored))
         pairs = np.argwhere(distance_m <= NEAR_M)
-        i, j = pairs[match(pairs, distance_m[tuple(pairs.T)], NEAR_M)].T
+        is_kept = tracks[row[pairs[:, 0]]] == before[vehicle[scored[pairs[:, 1]]]]
+        cost_m = np.where(is_kept, 0.0, NEAR_M + distance_m[tuple(pairs.T)])
+        i, j = pairs[match(pairs, cost_m, 2 * NEAR_M)].T
         found[scored[j]] = True
-        track_id[scored[j]] = rows["track_id"].to_numpy()[row[i]]
+        track_id[scored[j]] = tracks[row[i]]
+        before[:] = -1
+        before[vehicle[scored[j]]] = tracks[row[i]]
         is_unmatched = np.array((to_ignored_m > NEAR_M).all(axis=1))
         is_unmatched[i] = False
         is_false[row] = is_unmatched

@@ -7,7 +7,7 @@ bands named I, Q and U, as glintrack writes them, give DoLP as well.
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -60,12 +60,15 @@ class FrameSource:
         True if the frames hold polarization.
     frames
         Time [s] and Dataset of the schema ``image``.
+    times_s
+        Times of the frames that were read, also of those left out. [s]
     """
 
     count: int | None
     crs: str | None
     dolp: bool
     frames: Iterator[tuple[float, xr.Dataset]]
+    times_s: list[float] = field(default_factory=list)
 
 
 def open_frames(
@@ -88,21 +91,14 @@ def open_frames(
     times_s
         Times of all frames, which replace their own and the rate. [s]
 
-    Returns
-    -------
-    The frames, without those that are equal to the one before: a vehicle would seem to stop in them.
-
     Raises
     ------
     ValueError
         In one sentence: the requirement and what was found.
     """
-    source = _open(path, rate_hz if times_s is None else 1.0, geotransform)
-    frames = source.frames if times_s is None else _replace_times(source.frames, times_s, path)
-    return replace(source, frames=_leave_out_repeated(frames, path))
-
-
-def _open(path: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
+    if times_s is not None:
+        source = open_frames(path, 1.0, geotransform)
+        return replace(source, frames=_replace_times(source.frames, times_s, path))
     if rate_hz is not None:
         check_rate(rate_hz)
     if geotransform is not None:
@@ -120,19 +116,24 @@ def _open(path: Path, rate_hz: float | None, geotransform: Geotransform | None) 
     raise ValueError(f"`frames` must be a folder of rasters, a stack or a video ({known}); got {path}.")
 
 
-def _leave_out_repeated(
-    frames: Iterator[tuple[float, xr.Dataset]], path: Path
-) -> Iterator[tuple[float, xr.Dataset]]:
-    found, used, before = 0, 0, np.empty(0)
-    for time_s, image in frames:
-        found += 1
-        if np.array_equal(pan := image["pan"].values, before, equal_nan=True):
-            continue
-        used, before = used + 1, pan
-        yield time_s, image
-    if used < found:
-        left_out = {"equal to the frame before": found - used}
-        report_reading(path, "frames compared", found, used, left_out)
+def leave_out_repeated(source: FrameSource, path: Path) -> FrameSource:
+    """Leave out frames that are equal to the one before, in which vehicles would seem to stop.
+
+    A video has such frames if it shows each picture of a slower camera several times.
+    """
+
+    def frames() -> Iterator[tuple[float, xr.Dataset]]:
+        used, before = 0, np.empty(0)
+        for time_s, image in source.frames:
+            source.times_s.append(time_s)
+            if not np.array_equal(pan := image["pan"].values, before, equal_nan=True):
+                used, before = used + 1, pan
+                yield time_s, image
+        if repeated := len(source.times_s) - used:
+            left_out = {"equal to the frame before": repeated}
+            report_reading(path, "frames compared", used + repeated, used, left_out)
+
+    return replace(source, frames=frames())
 
 
 def _replace_times(
