@@ -122,10 +122,25 @@ def test_resample_does_not_extrapolate(outside):
 # --- bands and channels ----------------------------------------------------------------------------
 
 
-def test_flat_band_passes_its_inside_and_edges():
-    np.testing.assert_array_equal(
-        band_response(0.6, 0.7, np.array([0.59, 0.6, 0.65, 0.7, 0.71])), [0, 1, 1, 1, 0]
-    )
+@given(grids().filter(lambda grid: len(grid) > 1), st.floats(0.4, 2.5), st.floats(0.4, 2.5))
+def test_a_flat_band_has_its_width_on_any_grid(grid, first, last):
+    """Within the grid, and wherever its edges lie between the wavelengths."""
+    start, stop = sorted((first, last))
+    if stop - start < 1e-6:
+        return
+    response = band_response(start, stop, grid)
+    width = max(0.0, min(stop, grid[-1]) - max(start, grid[0]))
+    assert quadrature_weights(grid) @ response == pytest.approx(width, abs=1e-8 * len(grid))
+    assert (response >= 0).all() and (response <= 1).all()
+
+
+def test_bands_side_by_side_share_the_wavelength_between_them():
+    grid = wavelength_grid(0.4, 1.0)
+    parts = [band_response(*band, grid) for band in ((0.4, 0.52), (0.52, 0.6), (0.6, 1.0))]
+    np.testing.assert_allclose(np.sum(parts, axis=0), 1.0, atol=1e-9)
+    assert parts[1][grid == 0.52] == parts[1][grid == 0.6] == 0.5
+    single = [band_response(0.5, 0.6, np.array([um]))[0] for um in (0.49, 0.5, 0.55, 0.6, 0.61)]
+    assert single == [0, 1, 1, 1, 0]
 
 
 @pytest.mark.parametrize("edges", [(0.9, 0.8), (0.9, 2.6)])

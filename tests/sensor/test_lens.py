@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glintrack.sensor import LensDesign, lens_quality, read_lens
+from glintrack.sensor import LensDesign, SensorDesign, lens_quality, read_lens
 from glintrack.sensor.lens import LensSurface, lens_names, path_errors_um
+from glintrack.sensor.wavefront import wavefront_um
 
 MIRROR = LensSurface(radius_mm=-200.0, thickness_mm=-200.0, material="mirror", stop=True)
 
@@ -57,6 +58,24 @@ def test_the_relay_images_all_wavelengths_within_an_element():
     middle = np.array(read_lens("relay").fields_mm[1:2])
     (error_um,) = path_errors_um(read_lens("relay"), middle, 0.7)
     assert np.hypot.reduce(error_um[4:]) < 0.1 * 0.7  # a tenth of a wave without piston, tilts and focus
+
+
+def test_defocus_has_the_sign_of_the_wavefronts_that_it_is_added_to():
+    """The relay with its last distance longer by 50 µm, against the same lens and ``defocus_um`` = 50."""
+    pytest.importorskip("optiland")
+    relay = read_lens("relay")
+    surfaces = [one.model_dump() for one in relay.surfaces]
+    along = math.copysign(0.05, surfaces[-1]["thickness_mm"])  # light runs back after a mirror
+    surfaces[-1]["thickness_mm"] += along
+    longer = relay.replace({"surfaces": surfaces})
+    middle = np.array(relay.fields_mm[1:2])
+    before, after = (path_errors_um(lens, middle, 0.7)[0, 3] for lens in (relay, longer))
+    error_um = wavefront_um(SensorDesign(f_number=relay.f_number, optics={"defocus_um": 50.0}))
+    x = np.linspace(-1, 1, len(error_um))
+    square = x[:, None] ** 2 + x**2
+    inside = square <= 1
+    of_design_um = (error_um * math.sqrt(3) * (2 * square - 1))[inside].mean()  # Noll's Z4
+    assert -(after - before) == pytest.approx(of_design_um, rel=0.05)  # of a fast beam, to first order
 
 
 def test_the_spectrometer_spreads_its_range_over_61_elements():

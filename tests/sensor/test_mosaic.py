@@ -25,6 +25,21 @@ def test_sigma_is_the_spread_of_repeated_exposures():
     assert (expected > sensor.design.dark_noise_e).all()
 
 
+def test_sigma_grows_toward_the_corners_as_the_light_falls_off():
+    """Calibrated electrons E of a gain g have the variance (gE + σ²)/g²; here g is below 0.75."""
+    sensor = sensor_of(optics={"vignetting": 0.4})
+    light = uniform(sensor, (40.0, 0, 0))(sensor.channels).values
+    readings = [
+        mosaic_of(array_readout(light, sensor, np.random.default_rng(k)), sensor, nobody())
+        for k in range(400)
+    ]
+    corner = np.s_[:6, :6]
+    assert sensor.pattern.known_gain[corner].max() < 0.75
+    spread = np.stack([m.electrons[corner] for m in readings]).std(axis=0)
+    stated = np.mean([m.sigma_e[corner] for m in readings], axis=0)
+    assert (spread / stated).mean() == pytest.approx(1.0, abs=0.02)
+
+
 def nobody():
     return ServedQueries((), np.empty(0, int), np.empty(0, int), ())
 

@@ -60,8 +60,7 @@ def test_electrons_follow_the_camera_equation():
     """N = L·Δλ · A · π/(4F²+1) · t · τ·QE / (hc/λ), in one narrow band where λ hardly varies."""
     optics = {"quantum_efficiency": 0.5, "optics_transmission": 0.8, "f_number": 4.0}
     sensor = sensor_of(band_um=(0.54, 0.56), integration_time_ms=0.1, **optics)
-    width = 0.02 + 0.01  # the trapezoid gives each edge of a flat band half a step beyond it
-    power = width * (17e-6) ** 2 * math.pi / 65
+    power = 0.02 * (17e-6) ** 2 * math.pi / 65
     photons = power * 0.1e-3 / (h * c / 0.55e-6)
     assert sensor.electrons_per_radiance == pytest.approx(0.4 * photons, rel=1e-3)
 
@@ -307,6 +306,17 @@ def test_spectrometer_bands_are_means(width):
     np.testing.assert_allclose(
         (sensor.band_weights @ GRID)[inside], sensor.band_centre_um[inside], atol=half_a_step
     )
+
+
+def test_spectrometer_bands_are_the_mirrors_image_over_the_cells_of_the_grid():
+    """Every band, the outermost too: a triangle of 10 nm FWHM, integrated over each wavelength's cell."""
+    sensor = sensor_of(spectrometer_bandwidth_um=0.01)
+    fine = np.linspace(0.4, 1.0, 600_001)
+    cell = np.minimum(np.floor((fine - 0.4) / 0.01 + 0.5).astype(int), 60)
+    for k in (0, 1, 30, 59):
+        triangle = np.maximum(1 - np.abs(fine - sensor.band_centre_um[k]) / 0.01, 0)
+        exact = np.bincount(cell, triangle, 61) * GRID
+        np.testing.assert_allclose(sensor.band_weights[k], exact / exact.sum(), atol=2e-3)
 
 
 # --- designs ---------------------------------------------------------------------------------------

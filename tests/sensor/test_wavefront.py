@@ -115,11 +115,16 @@ def test_zernike_polynomials_are_orthonormal_over_the_disc():
 
 
 def test_defocus_is_the_geometric_path_error():
-    """A detector δ behind focus: the path error grows as ρ² to δ/(8N²) at the pupil's edge."""
+    """A detector δ behind focus: the path error falls as ρ² to −δ/(8N²) at the pupil's edge.
+
+    A ray of the pupil's radius ρ has crossed the axis and lands at −δρ/(2N), which is 2N ∂W/∂ρ.
+    """
     design = design_of(f_number=4.0, optics={"defocus_um": 50.0})
     error = wavefront_um(design, samples=101)
     edge, middle = error[50, 100], error[50, 50]
-    assert edge - middle == pytest.approx(50.0 / (8 * 16), rel=1e-6)
+    assert edge - middle == pytest.approx(-50.0 / (8 * 16), rel=1e-6)
+    slope = (error[50, 100] - error[50, 98]) / 0.04  # at ρ = 0.98
+    assert 2 * 4.0 * slope == pytest.approx(-50.0 * 0.98 / (2 * 4.0), rel=1e-6)
 
 
 def test_small_aberrations_lower_the_peak_as_marechal_says():
@@ -178,6 +183,32 @@ def test_kernels_carry_all_light_and_have_the_spots_width():
     variance = kernel.sum(0) @ place**2
     # the Gaussian of one element, and the cell it is summed over; 0.5 % of the light is beyond the kernel
     assert variance == pytest.approx(1 + 1 / 12, rel=0.06)
+
+
+@pytest.mark.parametrize("oversampling", [1, 3, 5])
+def test_wide_blurs_are_whole_on_any_grid(oversampling):
+    """A disc of diameter δ/N has an RMS of δ/(4N) along an axis, a spot its own; in elements of 17 µm."""
+    for keys, sigma in (
+        ({"f_number": 4.0, "optics": {"defocus_um": 400.0}}, 400 / 4 / 4 / 17),
+        ({"f_number": 1.0, "spot_sigma_um": 34.0}, 2.0),
+    ):
+        kernel = lens_kernels(design_of(**keys), GRID, FLAT, oversampling)[0].at(0, 0)
+        place = (np.arange(len(kernel)) - len(kernel) // 2) / oversampling
+        light = kernel.sum(axis=0) * (np.abs(place) <= 6.5)  # without diffraction's wings
+        variance = light @ place**2 / light.sum()
+        assert variance == pytest.approx(sigma**2 + 1 / 12 / oversampling**2, rel=0.08)
+
+
+@pytest.mark.parametrize(
+    ("keys", "sentence"),
+    [
+        ({"spot_sigma_um": 200.0, "pitch_um": 3.45}, r"must spread a point .* got about 232\."),
+        ({"optics": {"defocus_um": 2500.0}}, r"must have a wavefront that changes .* Reduce the defocus"),
+    ],
+)
+def test_blurs_that_cannot_be_computed_are_refused(keys, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        lens_kernels(design_of(**keys), GRID, FLAT)
 
 
 def test_a_perfect_small_lens_leaves_light_where_it_falls():

@@ -13,6 +13,7 @@ from glintrack.core.arrays import Array
 MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM = 0.4, 2.5
 STANDARD_STEP_UM = 0.01
 MIN_STEP_UM = 1e-5
+_ROUNDING_UM = 1e-9
 
 
 def wavelength_grid(
@@ -108,10 +109,28 @@ def check_band(name: str, start_um: float, stop_um: float) -> None:
 def band_response(
     start_um: float, stop_um: float, wavelength_um: Float[Array, "wavelength"]
 ) -> Float[Array, "wavelength"]:
-    """Response of a flat band: 1 between its edges and on them, else 0. [1]"""
+    """Response of a flat band: the share of each wavelength's cell that lies in it, so ½ at its edges. [1]"""
     check_band("band", start_um, stop_um)
+    return share_of_cells(start_um, stop_um, wavelength_um)
+
+
+def share_of_cells(
+    start_um: ArrayLike, stop_um: ArrayLike, wavelength_um: Float[Array, "wavelength"]
+) -> Float[Array, "*band wavelength"]:
+    """Share of the cell of each wavelength that lies in a band. [1]
+
+    Cells end halfway between wavelengths, and at both ends of the grid: each is as wide as its
+    `quadrature_weights`. A single wavelength is in a band or not.
+    """
     wavelength_um = np.asarray(wavelength_um, dtype=float)
-    return ((wavelength_um >= start_um - 1e-9) & (wavelength_um <= stop_um + 1e-9)).astype(float)
+    start, stop = (np.asarray(edge, dtype=float)[..., None] for edge in (start_um, stop_um))
+    if wavelength_um.size == 1:
+        is_below, is_above = wavelength_um < start - _ROUNDING_UM, wavelength_um > stop + _ROUNDING_UM
+        return (~is_below & ~is_above).astype(float)
+    between = (wavelength_um[1:] + wavelength_um[:-1]) / 2
+    edges = np.r_[wavelength_um[0], between, wavelength_um[-1]]
+    inside = np.clip(np.minimum(edges[1:], stop) - np.maximum(edges[:-1], start), 0, None)
+    return np.round(inside / np.diff(edges), 9)  # whole cells are exactly 1
 
 
 def channel_weights(

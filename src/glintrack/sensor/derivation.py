@@ -15,7 +15,7 @@ from jaxtyping import Float
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
 from glintrack.core.installation import data_file, read_data
-from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM
+from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, quadrature_weights, share_of_cells
 from glintrack.core.units import unit_of
 from glintrack.io.spectra import read_spectra
 from glintrack.sensor.layouts import LAYOUTS, filter_band
@@ -106,8 +106,9 @@ def _relative_signal(band_um: tuple[float, float], efficiency: float | str) -> f
     if isinstance(efficiency, str):
         table = read_spectra(SILICON, "sensor.quantum_efficiency", {"efficiency": (0.0, 1.0)})
         part = np.interp(grid, table["wavelength_um"], table["efficiency"], right=0.0)
-    own, default = ((low - 1e-9 <= grid) & (grid <= last + 1e-9) for low, last in (band_um, DEFAULT_BAND_UM))
-    return float((photons * part)[own].sum() / (DEFAULT_EFFICIENCY * photons[default].sum()))
+    photons *= quadrature_weights(grid)
+    own, default = (share_of_cells(*band, grid) for band in (band_um, DEFAULT_BAND_UM))
+    return float((photons * part) @ own / (DEFAULT_EFFICIENCY * photons @ default))
 
 
 def _element_bands_um(known: Mapping[str, Any], kinds: list[str | float]) -> list[tuple[float, float]]:

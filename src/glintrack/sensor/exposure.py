@@ -266,7 +266,8 @@ def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: Serv
     side = sensor.side
     rows, columns = (n // side for n in measured.shape)
     electrons = measured * np.tile(sensor.electrons_per_reading, (rows, columns)).astype(np.float32)
-    sigma_e = np.sqrt(sensor.design.noise_variance_e2(electrons))
+    gain = sensor.pattern.known_gain  # by which the readings were divided
+    sigma_e = np.sqrt(sensor.design.noise_variance_e2(electrons * gain)) / gain
     away = served.is_served
     i, j = sensor.mirror_element
     part = np.float32(sensor.exposure_part)

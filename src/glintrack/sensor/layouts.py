@@ -19,7 +19,7 @@ LAYOUTS: dict[str, Superpixel] = {
     "0-45-90-135": ((90.0, 45.0), (135.0, 0.0)),  # as sold: Sony Polarsens, by its flyer
     "pan": ((OPEN,),),
     "mirror": ((MIRROR,),),  # a multi-object spectrometer alone
-    "rgb": (("0.605-0.7", "0.505-0.6"), ("0.505-0.6", "0.4-0.5")),  # Bayer; thirds of the visible
+    "rgb": (("0.6-0.7", "0.5-0.6"), ("0.5-0.6", "0.4-0.5")),  # Bayer; thirds of the visible
     "four-bands": (("0.45-0.52", "0.52-0.6"), ("0.63-0.69", "0.76-0.9")),  # Landsat Thematic Mapper 1 to 4
 }
 _FILTER = re.compile(r"(\d*\.?\d+)-(\d*\.?\d+)")

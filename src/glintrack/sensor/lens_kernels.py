@@ -29,7 +29,8 @@ WING_CELL = 4  # elements: the grid of the wings
 _DIFFRACTION_REACH = 64  # elements: less than a tenth of the diffraction wings is beyond
 _PARTS = 6  # samples along a cell
 ENERGY_SHARE = 0.995  # of the light within reach that a kernel includes
-MAX_HALF_WIDTH = 16  # cells
+MAX_HALF_WIDTH = 16  # cells, of a sharp lens: the wings have the rest
+MAX_BLUR = 64  # elements to each side, of any lens
 RANK_ERROR = 2.5e-3  # of a kernel's Frobenius norm: half a thousandth of the light in a tap
 SPECTRAL_NODES = 5
 FIELD_NODES = 5  # along each side, if the lens changes over the field
@@ -147,8 +148,15 @@ def _cell_kernels(design: SensorDesign, nodes_um: Array, oversampling: int) -> A
     # the wavefront's slope times the focal length; twenty times RMS over diameter bounds low orders well
     aberration_um = 20 * (rms_um[0] + max(rms_um[1:], default=0.0)) * design.f_number
     aberration_um += abs(optics.defocus_um) / design.f_number
+    blur_um = aberration_um + 4 * design.spot_sigma_um
+    if (blur := blur_um / design.pitch_um) > MAX_BLUR:
+        raise ValueError(
+            f"`sensor.spot_sigma_um` and sensor.optics must spread a point over at most {MAX_BLUR} elements "
+            f"to each side; got about {blur:.0f}. Reduce the spot, the defocus or the aberrations."
+        )
     reach_um = 15 * float(nodes_um[-1]) * design.f_number + aberration_um
-    half = min(math.ceil((reach_um + 4 * design.spot_sigma_um) / cell_um), MAX_HALF_WIDTH)
+    half = math.ceil((reach_um + 4 * design.spot_sigma_um) / cell_um)
+    half = min(half, max(MAX_HALF_WIDTH, math.ceil(blur_um / cell_um)))
     taps = 2 * max(half, 1) + 1
     edges_um = (np.arange(taps + 1) - taps / 2) * cell_um
     places = np.linspace(-1, 1, FIELD_NODES) if optics.field_zernikes_rms_nm else np.zeros(1)
@@ -164,10 +172,23 @@ def _cell_kernels(design: SensorDesign, nodes_um: Array, oversampling: int) -> A
                     step_um = min(step_um, cell_um / MIN_CELL_PARTS)
                 samples = 2 * math.ceil(min(reach_um, edges_um[-1]) / step_um) + 1
                 passing = pupil(design, float(wavelength), error_um=error_um)
+                _check_sampling(error_um, passing, float(wavelength))
                 spread = diffraction_pattern(design, passing, float(wavelength), step_um, samples)
                 to_cells = _share_of_cells(samples, step_um, edges_um, design.spot_sigma_um)
                 out[k, i, j] = to_cells @ (spread * step_um**2) @ to_cells.T
     return out
+
+
+def _check_sampling(error_um: Array, passing: Array, wavelength_um: float) -> None:
+    """Refuse a wavefront so steep that the samples of the pupil alias it."""
+    inside = np.where(np.abs(passing) > 0, error_um, np.nan)
+    steepest_um = max(float(np.nanmax(np.abs(np.diff(inside, axis=axis)))) for axis in (0, 1))
+    if steepest_um > wavelength_um / 2:
+        raise ValueError(
+            "`sensor.optics` must have a wavefront that changes by at most half a wavelength between the "
+            f"{len(error_um)} samples across the pupil; got {steepest_um / wavelength_um:.2g} wavelengths. "
+            "Reduce the defocus or the aberrations."
+        )
 
 
 def _share_of_cells(samples: int, step_um: float, edges_um: Array, spot_um: float) -> Array:

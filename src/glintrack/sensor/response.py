@@ -12,7 +12,13 @@ from jaxtyping import Float
 from scipy.constants import c, h
 
 from glintrack.core.arrays import Array
-from glintrack.core.spectral import band_response, channel_weights, quadrature_weights, resample
+from glintrack.core.spectral import (
+    band_response,
+    channel_weights,
+    quadrature_weights,
+    resample,
+    share_of_cells,
+)
 from glintrack.io.spectra import read_spectra
 from glintrack.sensor.derivation import SILICON, am15g_light
 from glintrack.sensor.design import SensorDesign
@@ -175,14 +181,9 @@ def spectrometer_bands(
     start, stop = design.spectrometer_um
     width = design.spectrometer_bandwidth_um
     centres = start + width * (np.arange(max(int((stop - start) / width + 1e-9), 1)) + 0.5)
-    half_cell = 0.5 * float(np.min(np.diff(wavelength_um)))
     parts = np.linspace(-0.5, 0.5, 41) * width if design.spectrometer == "relay" else np.zeros(1)
-    response = np.zeros((len(centres), len(wavelength_um)))
-    for shift in parts:
-        right = np.minimum(wavelength_um + half_cell, centres[:, None] + shift + width / 2)
-        left = np.maximum(wavelength_um - half_cell, centres[:, None] + shift - width / 2)
-        response += np.maximum(right - left, 0.0)
-    return centres, response / len(parts) * wavelength_um
+    first = centres + parts[:, None] - width / 2
+    return centres, share_of_cells(first, first + width, wavelength_um).mean(axis=0) * wavelength_um
 
 
 def _curve(name: str, column: str, wavelength_um: Array, key: str) -> Array:
