@@ -201,14 +201,14 @@ def build_scene(design: SceneDesign) -> City:
         If a file is missing or bad, or an extra or a system library is missing.
     """
     of_files = any(value for key, value in design if key.endswith("_file"))
-    city = _build(design) if of_files else _keep(design)
+    city = _build(design) if of_files else _keep(design.model_dump_json(exclude_unset=True))
     warn_of_jam(city.traffic, city.extent_m)
     return city
 
 
 @lru_cache(maxsize=1)
-def _keep(design: SceneDesign) -> City:
-    return _build(design)
+def _keep(design: str) -> City:
+    return _build(SceneDesign.model_validate_json(design))
 
 
 def _build(design: SceneDesign) -> City:
