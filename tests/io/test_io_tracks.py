@@ -320,10 +320,28 @@ def test_boxes_that_do_not_count_are_left_out(tmp_path):
     assert found["east_m"].values.tolist() == [1007.5, 1008]  # by hand: 1000 + 0.5 (11 - 1 + 10 / 2)
     assert found["north_m"].values.tolist() == [1985, 1985]
     assert found["time_s"].values.tolist() == [0, 1 / 30]
-    assert dict(readings[0].left_out) == {"flag 0": 1, "class of no motor vehicle (car 3, motorbike 5)": 1}
+    assert dict(readings[0].left_out) == {"flag 0": 1, "class of no motor vehicle (3, 5 are)": 1}
     (tmp_path / "gt.txt").write_text("1,3,0,0,9,9,1,1,1\n")
     with pytest.raises(ValueError, match="must hold boxes of class 3 or 5"):
         read_truth(tmp_path / "gt.txt", 30.0, GRID)
+
+
+def test_columns_of_other_data_sets_are_known_or_refused(tmp_path):
+    """VisDrone's van, pedestrian and ignored region; a flag of 0 in ten columns; a category in the ninth."""
+    path = tmp_path / "gt.txt"
+    path.write_text("1,1,11,21,10,20,1,5,0,2\n1,2,50,50,9,9,1,1,0,0\n1,0,80,80,40,40,0,0,0,0\n")
+    with collect_readings() as readings:
+        found = read_truth(path, 30.0, GRID)
+    assert found["vehicle_id"].values.tolist() == [1]
+    assert dict(readings[0].left_out) == {
+        "flag 0": 1,
+        "class of no motor vehicle (4, 5, 6, 9, 10 are)": 1,
+    }
+    path.write_text("1,1,11,21,10,20,1,-1,-1,-1\n1,2,50,50,9,9,0,-1,-1,-1\n")
+    assert read_truth(path, 30.0, GRID)["vehicle_id"].values.tolist() == [1]
+    path.write_text("1,1,11,21,10,20,1,1,1\n1,2,50,50,9,9,1,1,3\n")
+    with pytest.raises(ValueError, match=r"visible fraction, 0 to 1, in column 9 as MOT16 has; got 3"):
+        read_truth(path, 30.0, GRID)
 
 
 @pytest.mark.parametrize(

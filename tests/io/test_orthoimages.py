@@ -1,5 +1,8 @@
 """Frames of one's own: which files of a folder, in which order, and what they need."""
 
+import subprocess
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -7,6 +10,7 @@ from PIL import Image
 from glintrack.io.images import write_frame
 from glintrack.io.orthoimages import Geotransform, image_of, leave_out_repeated, open_frames
 from glintrack.io.readings import collect_readings
+from glintrack.io.untrusted import natural_order
 
 HERE = Geotransform(0.0, 0.0, 1.0)
 
@@ -28,6 +32,44 @@ def test_pictures_are_frames_in_the_order_of_their_numbers(tmp_path, suffix):
     for k in (1, 2, 10):
         write(tmp_path, f"frame{k}.{suffix}", 20 * k)
     assert levels(open_frames(tmp_path, 1.25, HERE)) == pytest.approx([20, 40, 200], abs=1)
+
+
+def video(path, pictures, times_s, *options):
+    """Write pictures at their times, each a grey level."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="needs the extra `video`")
+    lines = []
+    for k, (level, time_s) in enumerate(zip(pictures, times_s, strict=True)):
+        Image.fromarray(np.full((48, 64), level, np.uint8)).save(path.with_suffix(f".{k}.png"))
+        long_s = times_s[k + 1] - time_s if k + 1 < len(times_s) else 0.1
+        lines.append(f"file '{path.with_suffix(f'.{k}.png')}'\nduration {long_s:.3f}")
+    path.with_suffix(".txt").write_text("\n".join(lines))
+    words = (
+        "-y -loglevel error -f concat -safe 0 -i {} -fps_mode vfr -enc_time_base 1/1000 -c:v libx264 -qp 1"
+    )
+    command = words.format(path.with_suffix(".txt")).split()
+    subprocess.run([ffmpeg.get_ffmpeg_exe(), *command, "-pix_fmt", "yuv420p", str(path)], check=True)
+
+
+def test_pictures_of_a_video_have_their_own_times(tmp_path):
+    """At gaps that vary, each once; with a rate all of them, one after the other."""
+    times_s, levels = [0.0, 0.12, 0.6, 1.0, 1.52, 1.6, 2.2], [40, 60, 80, 100, 120, 140, 160]
+    video(tmp_path / "v.mp4", levels, times_s)
+    frames = [
+        (t, float(image["pan"].mean())) for t, image in open_frames(tmp_path / "v.mp4", None, HERE).frames
+    ]
+    np.testing.assert_allclose([t for t, _ in frames], times_s, atol=0.011)
+    np.testing.assert_allclose([level for _, level in frames], levels, atol=2)
+    at_rate = open_frames(tmp_path / "v.mp4", 5.0, HERE).frames
+    np.testing.assert_allclose([t for t, _ in at_rate], 0.2 * np.arange(7))
+
+
+def test_frames_named_by_seconds_are_in_the_order_of_time(tmp_path):
+    for k, name in enumerate(("0.0", "0.25", "0.5", "0.75", "1.0")):
+        write(tmp_path, f"{name}.png", 20 * k)
+    assert levels(open_frames(tmp_path, 4.0, HERE)) == [0, 20, 40, 60, 80]
+    names = ["cam1.3.png", "cam1.20.png", "f_1.05.tif", "f_1.5.tif", "f_10.25.tif", "v2.jp2", "v10.jp2"]
+    paths = [Path(name) for name in names]
+    assert sorted(paths[::-1], key=natural_order) == paths
 
 
 def test_frames_that_repeat_are_left_out_and_told(tmp_path):

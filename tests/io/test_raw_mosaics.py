@@ -5,6 +5,7 @@ import io
 import numpy as np
 import pytest
 import rasterio
+from PIL import Image
 
 from glintrack.io.raw_mosaics import raw_files, read_raw
 from glintrack.io.readings import collect_readings
@@ -27,6 +28,13 @@ def test_counts_come_back(tmp_path, suffix, dtype):
     found = read_raw(path)
     assert found.dtype == dtype
     np.testing.assert_array_equal(found, counts)
+
+
+def test_pages_are_not_left_out_in_silence(tmp_path):
+    pages = [Image.fromarray(COUNTS + k) for k in range(3)]
+    pages[0].save(tmp_path / "burst.tif", save_all=True, append_images=pages[1:])
+    with pytest.raises(ValueError, match=r"must be a raw mosaic of one picture; got 3 pages .* Split it"):
+        read_raw(tmp_path / "burst.tif")
 
 
 def test_columns_first_and_other_bytes_first(tmp_path):

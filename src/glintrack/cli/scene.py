@@ -46,6 +46,9 @@ def build(
     crs: Annotated[str | None, cli.option("Projected CRS of a mesh, such as EPSG:32632")] = None,
     origin: Annotated[tuple[float, float] | None, cli.option("Position of the mesh's origin [m, m]")] = None,
     unit: Annotated[float | None, cli.option("Length of one unit of the mesh [m]")] = None,
+    up: Annotated[
+        Literal["y", "z"] | None, cli.option("Axis of the mesh that points up [default: y for glTF, else z]")
+    ] = None,
     trees: Annotated[bool, cli.option("Plant trees")] = True,
     buildings: Annotated[
         bool | None, cli.option("Build houses by rule where a network has none [default: if it has no house]")
@@ -72,6 +75,7 @@ def build(
         "crs": crs,
         "origin_m": origin,
         "mesh_unit_m": unit,
+        "mesh_up": up,
         "width_m": width,
         "height_m": height,
     }

@@ -41,8 +41,8 @@ class Distortion(Design):
     k1: float = _coefficient("Radial, of r²; negative is a barrel")
     k2: float = _coefficient("Radial, of r⁴")
     k3: float = _coefficient("Radial, of r⁶")
-    p1: float = _coefficient("Tangential, of decentering down the image")
-    p2: float = _coefficient("Tangential, of decentering across the image")
+    p1: float = _coefficient("Tangential, of decentering down the image (P2 of Metashape)")
+    p2: float = _coefficient("Tangential, of decentering across the image (P1 of Metashape)")
     b1: float = _coefficient("Affinity: scale across the image over that down it, less one")
     b2: float = _coefficient("Skew: shift across the image with the place down it")
 

@@ -35,6 +35,7 @@ STACKS = (".nc", ".nc4", ".h5", ".zarr")
 RASTERS = ((".tif", ".tiff"), (".png",), (".jpg", ".jpeg"), (".jp2",), (".bmp",))  # in order of preference
 SQUARE = 1e-4  # relative tolerance of square pixels
 _FIRST = 20  # frames whose times are checked before any work
+_MIN_CLOCK_HZ = 50.0  # of a video: times are right to half its period
 
 
 @dataclass(frozen=True)
@@ -327,22 +328,32 @@ def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
     imageio_ffmpeg = require_extra("imageio_ffmpeg", "video", "read a video")
     # in the format of its ending and from this file alone: a playlist could refer to other files
     as_named = ["-protocol_whitelist", "file", "-f", _DEMUXERS.get(path.suffix.lower(), "mov")]
-    reader = imageio_ffmpeg.read_frames(str(check_file(path, "frames")), "gray", input_params=as_named)
+    file = str(check_file(path, "frames"))
     try:
-        about = next(reader)
+        about = next(imageio_ffmpeg.read_frames(file, input_params=as_named))
     except (OSError, RuntimeError, StopIteration) as error:
         raise ValueError(f"`frames` must be a video that ffmpeg can read; got {path}.") from error
     width, height = about["size"]
     if width * height > MAX_CELLS:
         raise ValueError(f"`frames` must have at most {MAX_CELLS:,} pixels; got {width} × {height}: {path}.")
-    rate = rate_hz or float(about["fps"])
-    check_rate(rate)
+    check_rate(rate_hz or about["fps"])
+    # by the pictures' own times, to a clock that may show one several times; or at a rate all of them
+    clock_hz = rate_hz or about["fps"] * math.ceil(_MIN_CLOCK_HZ / about["fps"])
+    timing = ["-fps_mode", "passthrough"] if rate_hz else ["-vf", f"fps={clock_hz:.6f}"]
     grid = geotransform
 
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
-        for k, data in enumerate(reader):
+        pictures = imageio_ffmpeg.read_frames(
+            file, "gray", bits_per_pixel=8, input_params=as_named, output_params=timing
+        )
+        next(pictures)  # what is known about the video
+        before = None
+        for k, data in enumerate(pictures):
+            if rate_hz is None and data == before:
+                continue
+            before = data
             pan = np.frombuffer(data, np.uint8).reshape(height, width).astype(np.float32)
-            yield k / rate, image_of({"pan": pan}, grid)
+            yield k / clock_hz, image_of({"pan": pan}, grid)
 
     return FrameSource(None, None, False, frames())
 

@@ -113,6 +113,12 @@ def open_bands(path: Path, name: str, requirement: str = "a raster") -> Iterator
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         file = open_raster(path, name, requirement)
     with file:
+        pages = len(file.subdatasets) if file.driver == "GTiff" else 1
+        if pages > 1:
+            raise ValueError(
+                f"`{name}` must be {requirement} of one picture; got {pages} pages in {path}. Split it, "
+                "as tiffsplit does."
+            )
         try:
             yield file
         except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:

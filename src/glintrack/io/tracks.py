@@ -37,6 +37,7 @@ TRUTH_COLUMNS = (
 )  # fmt: skip
 BOX_M = 5.0  # side of a track's box in MOTChallenge, about the length of a car
 _VEHICLES = _CAR, _MOTORCYCLE = 3, 5  # classes of MOTChallenge
+_VISDRONE_VEHICLES = 4, 5, 6, 9, 10  # car, van, truck, bus, motor
 _MAX_FRAME = 1_000_000
 _PIXEL_ERROR, _METRE_ERROR = 0.02, 1e-3  # of rounded boxes and positions
 
@@ -145,16 +146,33 @@ def read_mot(path: Path, name: str, rate_hz: float | None, grid: Geotransform | 
         )
     table = pd.DataFrame({"time_s": (frame - 1) / rate_hz, "id": ident, "east_m": east, "north_m": north})
     used, gone = np.ones(len(table), bool), {}
-    if name == "truth" and columns == 9:
-        table["visible_fraction"], marked = values[:, 8], values[:, 6] != 0
-        used = marked & np.isin(values[:, 7], _VEHICLES)
-        other = "class of no motor vehicle (car 3, motorbike 5)"
+    notes = [f"frame 1 is 0 s; {rate_hz:g} frames a second"]
+    if name == "truth" and columns >= 7:
+        marked, layout, classes = values[:, 6] != 0, "", ()
+        if columns == 9:
+            if not ((values[:, 8] >= 0) & (values[:, 8] <= 1)).all():
+                raise ValueError(
+                    "`truth` must have the visible fraction, 0 to 1, in column 9 as MOT16 has; got "
+                    f"{values[:, 8].max():g} in {path}. Leave out columns 7 to 9 of another layout."
+                )
+            table["visible_fraction"], layout, classes = values[:, 8], "MOT16", _VEHICLES
+        elif columns == 10 and _is_visdrone(values):
+            layout, classes = "VisDrone", _VISDRONE_VEHICLES
+        used = marked & (np.isin(values[:, 7], classes) if classes else True)
+        other = f"class of no motor vehicle ({', '.join(map(str, classes))} are)"
         gone = {"flag 0": int((~marked).sum()), other: int((marked & ~used).sum())}
+        notes += [f"columns 7 and 8 are flag and class of {layout}"] if layout else []
         if len(used) and not used.any():
-            raise ValueError(f"`truth` must hold boxes of class 3 or 5, with flag 1; got none in {path}.")
-    note = f"frame 1 is 0 s; {rate_hz:g} frames a second"
-    report_reading(path, "boxes", len(used), int(used.sum()), gone, [note])
+            kinds = f"class {' or '.join(map(str, classes))}, with " if classes else ""
+            raise ValueError(f"`truth` must hold boxes of {kinds}flag 1; got none in {path}.")
+    report_reading(path, "boxes", len(used), int(used.sum()), gone, notes)
     return table.iloc[np.flatnonzero(used)].sort_values("time_s", kind="stable").reset_index(drop=True)
+
+
+def _is_visdrone(values: Array) -> bool:
+    """Return True if columns 7 to 10 are VisDrone's flag, class, truncation and occlusion."""
+    most = np.array([1, 11, 1, 2])
+    return bool(((values[:, 6:] >= 0) & (values[:, 6:] <= most) & (values[:, 6:] % 1 == 0)).all())
 
 
 def _agree(pixels: Array, places_m: Array) -> bool:

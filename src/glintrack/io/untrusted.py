@@ -35,6 +35,7 @@ if TYPE_CHECKING:  # a command line is checked without these libraries
 
 MAX_TEXT_BYTES = 256_000_000
 MAX_COORDINATE_M, MAX_CELL_M = 1e8, 1e5  # of projected coordinates and cells of a map
+_SECONDS = re.compile(r"(?:^|[^A-Za-z0-9.])[0-9]+\.[0-9]+$")  # at the end of a name: 0.25, frame_12.5
 MIN_HEIGHT_M, MAX_HEIGHT_M = -500.0, 9000.0  # of ground and roofs: the Dead Sea's shore, Everest
 _MAX_MESSAGE_LENGTH = 2000
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -89,10 +90,16 @@ def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Pa
     return path
 
 
-def natural_order(path: Path) -> list[tuple[int, int, str]]:
-    """Sort key of paths with numbers, 2 before 10."""
+def natural_order(path: Path) -> list[tuple[int, float, str]]:
+    """Sort key of paths with numbers, 2 before 10; a decimal fraction at the end, 0.25 before 0.5."""
     parts = re.split(r"([0-9]+)", str(path))
-    return [(0, int(part), part) if k % 2 else (1, 0, part) for k, part in enumerate(parts)]
+    key: list[tuple[int, float, str]] = [
+        (0, int(part), part) if k % 2 else (1, 0, part) for k, part in enumerate(parts)
+    ]
+    if _SECONDS.search(path.stem):
+        last = len(parts) - 2 - 2 * len(re.findall(r"[0-9]+", path.suffix))
+        key[last] = 0, float(f"0.{parts[last]}"), parts[last]
+    return key
 
 
 def resolve_path(path: str | Path) -> Path:

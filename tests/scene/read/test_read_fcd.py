@@ -45,6 +45,25 @@ def test_vehicle_that_vanishes_comes_back_as_another_or_not_at_all(tmp_path):
     assert traffic.bumper_east.tolist() == [0, 1, 2, *range(8), 6, 7]
 
 
+@pytest.mark.parametrize(("rate_hz", "decimals"), [(30.0, 3), (30.0, 9), (29.97, 3), (24.0, 3), (15.0, 2)])
+def test_rounded_times_of_a_camera_are_even_steps(tmp_path, rate_hz, decimals):
+    path = tmp_path / "f.csv"
+    times = np.round(np.arange(9000) / rate_hz, decimals)
+    path.write_text(HEAD + "".join(f"{t:.9g};90;a;car;{k % 40};0\n" for k, t in enumerate(times)))
+    traffic = read_fcd(path, WINDOW, start_s=0)
+    assert traffic.steps == 9000 and traffic.count.tolist() == [9000]
+    assert traffic.step_s == pytest.approx(1 / rate_hz, rel=1e-5)
+
+
+def test_vehicles_sampled_at_times_of_their_own_are_refused(tmp_path):
+    """Twenty probes, each once a second at its own tenth of a second: none is there at two times running."""
+    path = tmp_path / "f.csv"
+    rows = sorted((k + v % 10 / 10, v) for v in range(20) for k in range(30))
+    path.write_text(HEAD + "".join(f"{t:.1f};90;v{v};car;{t};{v}\n" for t, v in rows))
+    with pytest.raises(ValueError, match=r"at every time step; got most of them every 10 time steps"):
+        read_fcd(path, WINDOW, start_s=0)
+
+
 @pytest.mark.parametrize(
     ("row", "sentence"),
     [

@@ -4,6 +4,7 @@ import pytest
 
 from glintrack.io.readings import collect_readings
 from glintrack.scene.read.polygons import read_polygons
+from glintrack.scene.read.sumo import NetLocation
 
 FOOT_M = 0.3048
 
@@ -58,6 +59,20 @@ def test_height_of_a_building(tmp_path, attributes, tags, height_m):
 def test_polygons_in_degrees_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"must give polygons in metres; got longitudes and latitudes"):
         read(tmp_path, polygon("a", 0, 0, 10, attributes='geo="true"'))
+
+
+def test_polygons_of_another_offset_are_moved_to_the_network(tmp_path):
+    """Coordinates of either file are the projection's plus its offset."""
+    path = tmp_path / "m.poly.xml"
+    where = '<location netOffset="-500.0,-700.0" projParameter="+proj=utm +zone=32"/>'
+    path.write_text(f"<additional>{where}{polygon('a', 20, 30, 10)}</additional>")
+    with collect_readings() as readings:
+        (found,) = read_polygons(path, NetLocation((-400.0, -750.0), "+proj=utm +zone=32")).footprints
+    assert found.shape.bounds == (120, -20, 130, -10)
+    assert "moved by (100.00, -50.00) m into the network's coordinates" in readings[0].notes
+    assert read_polygons(path).footprints[0].shape.bounds == (20, 30, 30, 40)
+    with pytest.raises(ValueError, match=r"must be of a network in the projection '\+proj=utm \+zone=33'"):
+        read_polygons(path, NetLocation((0.0, 0.0), "+proj=utm +zone=33"))
 
 
 def test_rings_inside_are_courtyards_and_what_stands_in_those_stands_again(tmp_path):

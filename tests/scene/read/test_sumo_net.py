@@ -67,6 +67,16 @@ def test_tiny_network(tmp_path):
     np.testing.assert_allclose(moved.of_kind("car")[0].points, [[10, -0.6], [110, -0.6]])
 
 
+def test_lanes_within_a_junction_are_of_the_street_that_leads_there(tmp_path):
+    """Without a type a fast lane is a motorway's; a fast residential street's junction is not."""
+    fast = NET.replace('speed="5" length="1" shape="100,0', 'speed="28" length="1" shape="100,0')
+    linked = fast.replace('tl="b" linkIndex="0"', 'via=":b_0_0" tl="b" linkIndex="0"')
+    for text, is_motorway in ((fast, True), (linked, False)):
+        (tmp_path / "n.net.xml").write_text(text)
+        (inner,) = read_sumo_net(tmp_path / "n.net.xml")[0].of_kind("internal")
+        assert inner.is_motorway == is_motorway
+
+
 def test_gzipped_network(tmp_path):
     path = tmp_path / "n.net.xml.gz"
     path.write_bytes(gzip.compress(NET.encode()))

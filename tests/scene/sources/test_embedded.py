@@ -8,6 +8,7 @@ from shapely.ops import unary_union
 
 from glintrack.scene.design import SceneDesign
 from glintrack.scene.objects.layout import body_to_enu
+from glintrack.scene.objects.surfaces import RoadAreas, RoadNetwork
 from glintrack.scene.sources.embedded import (
     NETWORK_MARGIN_M,
     draw_plan,
@@ -15,6 +16,7 @@ from glintrack.scene.sources.embedded import (
     load_shipped_recording,
     plan_xml,
 )
+from glintrack.scene.sources.neighbourhood import neighbourhood
 from glintrack.scene.vehicles import load_vehicles
 
 EXTENT_M = SceneDesign().extent_m
@@ -48,6 +50,19 @@ def overlap_m2(first, second):
     return [
         first[a].intersection(second[b]).area for a, b in zip(i, j, strict=True) if first[a] is not second[b]
     ]
+
+
+@pytest.mark.parametrize("use", ["shopping", "offices"])
+def test_a_block_without_its_corner_is_built_upon(use):
+    """Where the small shop would stand there is a square; the office park is hardly wider than its houses."""
+    empty = Polygon()
+    square = shapely.box(0, 0, 45, 40) if use == "shopping" else shapely.box(0, 0, 110, 110)
+    streets = RoadAreas(square, empty, empty, empty, empty)
+    block = shapely.box(0, 0, 150, 150)
+    rng = np.random.default_rng(1)
+    plan = neighbourhood(RoadNetwork((), ()), streets, block, lambda *_: use, rng)
+    assert plan.buildings
+    assert all(building.footprint.disjoint(square) for building in plan.buildings)
 
 
 def test_parked_vehicles_overlap_neither_each_other_nor_buildings(layout, parked):

@@ -92,6 +92,15 @@ def test_unit_and_upright_are_the_users_word(files, tmp_path):
     assert read_mesh(tmp_path / "s.ply", up="y").extent_m == pytest.approx((-100, -10, 100, 0))
 
 
+def test_a_mesh_that_seems_to_lie_on_its_side_is_refused(files, tmp_path):
+    """As Blender writes an OBJ by default: y up."""
+    turned_to_y_up(street_and_house()).export(tmp_path / "s.ply")
+    with pytest.raises(ValueError, match=r"seems to have its y axis up, 200 × 10 × 100 along x, y, z"):
+        read_mesh(tmp_path / "s.ply")
+    assert read_mesh(tmp_path / "s.ply", up="y").extent_m == pytest.approx((-100, -50, 100, 50))
+    assert read_mesh(tmp_path / "s.ply", up="z").extent_m == pytest.approx((-100, 0, 100, 10))
+
+
 def test_what_is_taken_of_axes_unit_and_ground_is_told(files):
     taken = {"up is the mesh's y axis (scene.mesh_up)", "the mesh is in metres (scene.mesh_unit_m)"}
     assert taken < set(build_scene(design(files)).assumptions)

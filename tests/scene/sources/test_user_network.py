@@ -102,6 +102,13 @@ def test_polygons_become_buildings(files):
     assert 21 <= city.static.vertices[inside, 2].max() < 35  # walls to 21 m, then a roof
 
 
+def test_polygons_elsewhere_are_refused(files):
+    ring = "9020,10 9040,10 9040,30 9020,30 9020,10"
+    (files / "p.xml").write_text(f'<additional><poly id="a" type="building" shape="{ring}"/></additional>')
+    with pytest.raises(ValueError, match=r"`scene.polygons_file` must have a building in the window; got 1"):
+        build_scene(tiny(files, polygons_file=str(files / "p.xml")))
+
+
 def lefthand(text):
     return (
         text.replace("<net ", '<net lefthand="true" ', 1)

@@ -151,15 +151,19 @@ def _time_steps(
             f"`{path.name}` must span at most {_MAX_DURATION_S:g} s; got {clock_s[0]:g} to {clock_s[-1]:g} s."
         )
     start_s = float(clock_s[0]) if start_s is None else start_s
-    step_s = float(np.round(np.median(np.diff(clock_s)), 6))
-    position = (time_s - start_s) / step_s
-    late = np.abs(position - np.round(position)) > _MAX_CLOCK_ERROR
-    if late.any():
-        raise ValueError(
-            f"`{path.name}` must be sampled every {step_s:g} s, as most of it is; got the time "
-            f"{time_s[late][0]:g} s in {int(late.sum())} of {late.size} rows."
-        )
-    return np.round(position).astype(int), start_s, step_s
+    gaps = np.diff(clock_s)
+    typical_s = max(float(np.round(np.median(gaps), 6)), 1e-6)
+    count = np.r_[0, np.cumsum(np.round(gaps / typical_s))]
+    fitted_s = float(np.round(np.polyfit(count, clock_s, 1)[0], 9))  # through times that are rounded
+    for step_s in (typical_s, fitted_s):
+        position = (time_s - start_s) / step_s
+        late = np.abs(position - np.round(position)) > _MAX_CLOCK_ERROR
+        if not late.any():
+            return np.round(position).astype(int), start_s, step_s
+    raise ValueError(
+        f"`{path.name}` must be sampled every {typical_s:g} s, as most of it is; got the time "
+        f"{time_s[late][0]:g} s in {int(late.sum())} of {late.size} rows."
+    )
 
 
 def _is_geographic(x: Array, y: Array, stretch: Array, time_s: Array) -> bool:
@@ -228,6 +232,12 @@ def _number_stretches(path: Path, vehicle: Array, step: Array, time: Array, name
         raise ValueError(
             f"`{path.name}` must give each vehicle once a time step; got {str(names[vehicle[row]])[:40]!r} "
             f"twice at {time[row]:g} s, in {twice.size} rows."
+        )
+    typical = float(np.median(ahead[same])) if same.any() else 1.0
+    if typical >= 2:
+        raise ValueError(
+            f"`{path.name}` must give each vehicle at every time step; got most of them every {typical:g} "
+            "time steps. Interpolate them to common times."
         )
     stretch = np.empty(vehicle.size, int)
     stretch[order] = np.cumsum(np.r_[0, ~(same & (ahead == 1))])

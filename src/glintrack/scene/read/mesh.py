@@ -144,6 +144,8 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
         )
     if len(faces) > MAX_FACES:
         raise ValueError(f"`mesh_file` must have at most {MAX_FACES} triangles; got {len(faces)}.")
+    if up is None:
+        _check_up(path, vertices, faces)
     if (up or default_up(path)) == "y":
         vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
     vertices = vertices * (unit_m or 1.0)
@@ -164,6 +166,20 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
     notes += [f"{edges} edges are open: surfaces are seen from both sides alike"] * (edges > 0)
     report_reading(path, "triangles", len(faces), len(kept), gone, notes)
     return NamedMesh(vertices, faces[kept], names, name_of[kept])
+
+
+def _check_up(path: Path, vertices: Array, faces: Array) -> None:
+    """Refuse a mesh that is higher than wide with more level ground about the other axis."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    level = np.abs(np.cross(b - a, c - a)).sum(axis=0)
+    size = np.ptp(vertices, axis=0)
+    own, other = (2, 1) if default_up(path) == "z" else (1, 2)
+    if size[own] > size[other] and level[other] > level[own]:
+        raise ValueError(
+            f"`scene.mesh_up` must be given for a mesh that seems to have its {'xyz'[other]} axis up, "
+            f"{size[0]:.3g} × {size[1]:.3g} × {size[2]:.3g} along x, y, z; got none for {path.name}. "
+            "Give y or z."
+        )
 
 
 def _read_parts(path: Path) -> list[Part]:

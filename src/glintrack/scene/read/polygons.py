@@ -18,7 +18,7 @@ from shapely.geometry.base import BaseGeometry
 from glintrack.core.installation import read_data
 from glintrack.io.readings import report_reading
 from glintrack.scene.objects.geometry import polygons
-from glintrack.scene.read.sumo import read_xml, shape_points
+from glintrack.scene.read.sumo import NetLocation, read_location, read_xml, shape_points
 
 STOREY_M, PLINTH_M = 2.9, 0.4
 _MIN_FOOTPRINT_M2 = 8.0
@@ -62,17 +62,33 @@ class Polygons:
     grounds: tuple[tuple[str, BaseGeometry], ...] = ()
 
 
-def read_polygons(path: Path) -> Polygons:
-    """Read building outlines and grounds, in the file's own coordinates.
+def read_polygons(path: Path, network: NetLocation | None = None) -> Polygons:
+    """Read building outlines and grounds.
+
+    Parameters
+    ----------
+    path
+        Of SUMO's polyconvert, in the coordinates of a network.
+    network
+        Position of the network in whose coordinates they are wanted; the file's own by default.
 
     Raises
     ------
     ValueError
-        If the file is damaged or hostile, or its coordinates are not numbers.
+        If the file is damaged or hostile, its coordinates are not numbers, or its network had another
+        projection.
     """
     root = read_xml(path)
     if root.tag != "additional":
         raise ValueError(f"`{path.name}` must be SUMO polygons (root element additional); got {root.tag!r}.")
+    shift, own = np.zeros(2), read_location(path, root)
+    if own is not None and network is not None:
+        if own.projection and network.projection and own.projection != network.projection:
+            raise ValueError(
+                f"`{path.name}` must be of a network in the projection {network.projection!r:.80}; got "
+                f"{own.projection!r:.80}. Convert it with SUMO's polyconvert and the network."
+            )
+        shift = np.subtract(network.offset_m, own.offset_m)
     buildings: list[Footprint] = []
     grounds: list[tuple[str, BaseGeometry]] = []
     gone: Counter[str] = Counter()
@@ -89,6 +105,7 @@ def read_polygons(path: Path) -> Polygons:
                 "them with SUMO's polyconvert and the network."
             )
         points = shape_points(path, element.get("shape", ""))
+        points = points + shift if len(points) else points
         parts = area_parts(shapely.make_valid(Polygon(points)) if len(points) > 3 else Polygon())
         if kind and not reason and not parts:
             reason = TOO_SMALL
@@ -101,7 +118,10 @@ def read_polygons(path: Path) -> Polygons:
         elif kind is not None:
             grounds += [(kind, part) for part in parts]
     whole, courtyards = _cut_courtyards(buildings, path.name)
-    notes = unread_heights(tagged) + [f"{courtyards} rings inside others are courtyards"] * (courtyards > 0)
+    notes = [f"moved by ({shift[0]:.2f}, {shift[1]:.2f}) m into the network's coordinates"] * bool(
+        shift.any()
+    )
+    notes += unread_heights(tagged) + [f"{courtyards} rings inside others are courtyards"] * (courtyards > 0)
     report_reading(path, "buildings and grounds", count, count - gone.total(), gone, notes)
     return Polygons(tuple(whole), tuple(grounds))
 

@@ -81,7 +81,15 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
         raise ValueError(f"`{path.name}` must be a SUMO network (root element net); got {root.tag!r}.")
     signalled = {c.get("from") for c in root.iter("connection") if c.get("tl")}
     edges = list(root.iter("edge"))
-    lanes = tuple(lane for edge in edges for lane in _lanes(path, edge, edge.get("id") in signalled))
+    kinds = {edge.get("id"): edge.get("type", "") for edge in edges}
+    for link in root.iter("connection"):  # a lane within a junction is of the street that leads there
+        inner = link.get("via", "").rpartition("_")[0]
+        kinds[inner] = kinds.get(inner) or kinds.get(link.get("from"), "")
+    lanes = tuple(
+        lane
+        for edge in edges
+        for lane in _lanes(path, edge, edge.get("id") in signalled, kinds[edge.get("id")])
+    )
     if not lanes:
         raise ValueError(f"`{path.name}` must hold at least one lane with a shape; got none.")
     count = sum(1 for edge in edges for _ in edge.iter("lane"))
@@ -96,16 +104,21 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
         and motor_lanes.intersection(junction.get("incLanes", "").split())
     )
     network = RoadNetwork(lanes, junctions, root.get("lefthand", "false").lower() in ("true", "1"))
+    return network, read_location(path, root) or NetLocation()
+
+
+def read_location(path: Path, root: Element) -> NetLocation | None:
+    """Read the position of a network, or of what was converted with one; None without it."""
     location = root.find("location")
     if location is None:
-        return network, NetLocation()
+        return None
     offsets = shape_points(path, location.get("netOffset", "0,0"))
     if len(offsets) != 1:
         raise ValueError(f"`{path.name}` must give one netOffset; got {location.get('netOffset')!r:.60}.")
     east, north = offsets[0].tolist()
     projection = location.get("projParameter", "!").strip()
     known = projection if projection not in ("!", "-", ".", "") else None
-    return network, NetLocation((east, north), known)
+    return NetLocation((east, north), known)
 
 
 def count_standing_signals(path: Path) -> int:
@@ -128,7 +141,7 @@ def read_xml(path: Path) -> Element:
         raise ValueError(f"`{path.name}` must be whole, well-formed XML; got {error}.") from error
 
 
-def _lanes(path: Path, edge: Element, signalled: bool) -> list[Lane]:
+def _lanes(path: Path, edge: Element, signalled: bool, street_type: str) -> list[Lane]:
     lanes = []
     for element in edge.iter("lane"):
         kind = _kind(edge, element)
@@ -150,7 +163,7 @@ def _lanes(path: Path, edge: Element, signalled: bool) -> list[Lane]:
                 width_m=width_m,
                 signalled=signalled and kind == "car",
                 street_type=edge.get("type", ""),
-                is_motorway=_is_motorway(path, edge, element),
+                is_motorway=_is_motorway(path, street_type, element),
             )
         )
     return lanes
@@ -183,10 +196,10 @@ def _number(path: Path, element: Element, name: str, default: float) -> float:
     return value
 
 
-def _is_motorway(path: Path, edge: Element, lane: Element) -> bool:
+def _is_motorway(path: Path, street_type: str, lane: Element) -> bool:
     """Return True for a motorway or its ramp by its type, or without a type by its speed limit."""
-    if kind := edge.get("type", ""):
-        return "motorway" in kind
+    if street_type:
+        return "motorway" in street_type
     return _number(path, lane, "speed", 0.0) >= _MIN_MOTORWAY_SPEED_M_S
 
 

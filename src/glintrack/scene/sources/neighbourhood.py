@@ -226,7 +226,9 @@ def _shopping_centre(plan: _Plan, block: Polygon, rng: np.random.Generator) -> N
     hall = shapely.box(west + 8, north - 48, east - 8, north - 8).intersection(block.buffer(-6))
     shop = shapely.box(west + 6, south + 6, west + 30, south + 24).intersection(block.buffer(-5))
     for footprint, height, material in ((hall, 7.5, "roof_membrane"), (shop, 5.0, "roof_bitumen")):
-        piece = max(polygons(footprint), key=lambda p: p.area)
+        if not (parts := polygons(footprint)):  # a block without this corner
+            continue
+        piece = max(parts, key=lambda p: p.area)
         plan.buildings.append(
             Building(piece, height, "flat", "concrete", material, glazing="shopfront", storey_m=3.5)
         )
@@ -256,7 +258,9 @@ def _office_park(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
             Building(rotated, 3.5 * storeys, "flat", "concrete", roof, glazing="curtain", storey_m=3.5)
         )
     rest = block.buffer(-9).difference(unary_union(placed).buffer(5))
-    _car_park(plan, max(polygons(rest.buffer(-3).buffer(3)), key=lambda p: p.area), rng, occupancy=0.34)
+    parks = sorted(polygons(rest.buffer(-3).buffer(3)), key=lambda p: p.area)
+    for largest in parks[-1:]:
+        _car_park(plan, largest, rng, occupancy=0.34)
     _verge(plan, block, rng)
 
 

@@ -67,7 +67,7 @@ def network_site(design: SceneDesign) -> sites.Site:
             net_path = sites.resolve_file(str(design.net_file))
             network, location = read_sumo_net(net_path)
             named = design.polygons_file
-            found = read_polygons(sites.resolve_file(named)) if named else Polygons()
+            found = read_polygons(sites.resolve_file(named), location) if named else Polygons()
         return _site(design, net_path, network, location, found)
 
 
@@ -110,6 +110,11 @@ def _site(
         footprints=tuple(replace(f, shape=s) for f, s in shapes if area.contains(s.centroid)),
         grounds=tuple((kind, shape.intersection(area)) for kind, shape in grounds if shape.intersects(area)),
     )
+    if design.polygons_file and found.footprints and not local.footprints:
+        raise ValueError(
+            f"`scene.polygons_file` must have a building in the window; got {len(found.footprints)} "
+            "elsewhere. Convert it with SUMO's polyconvert and this network, or leave it out."
+        )
     fill = design.fill_blocks if design.fill_blocks is not None else not local.footprints
     assumptions += (*more, *guessed, *_guesses(local, streets_through_buildings(near, local), fill))
     if fill and any(lane.is_motorway for lane in near.lanes):
