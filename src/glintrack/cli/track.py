@@ -193,7 +193,7 @@ def _track_frames(
     used_s = sorted({time_s for time_s, _ in reports})
     if tracker.detect.detector == FRAMES_DESIGN.detect.detector and len(used_s) < MIN_FRAMES:
         raise ValueError(
-            f"`frames` must be at least {MIN_FRAMES}, through which a vehicle is seen to move; "
+            f"`frames` must be at least {MIN_FRAMES} that differ, so that a vehicle is seen to move; "
             f"got {len(used_s)} in {source}."
         )
     place = TrackGeoreference(times_s=frames.times_s)
