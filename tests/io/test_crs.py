@@ -8,7 +8,7 @@ import pytest
 import rasterio
 import rasterio.transform
 
-from glintrack.io.crs import change_crs, check_not_exchanged, longitude_latitude
+from glintrack.io.crs import change_crs, check_not_exchanged, longitude_latitude, metric_crs
 from glintrack.io.heights import read_heights
 
 
@@ -75,3 +75,10 @@ def test_an_exchanged_longitude_and_latitude_are_refused():
     check_not_exchanged("EPSG:32632", 100.0, -50.0, "pose")  # off the map either way
     with pytest.raises(ValueError, match=r"`pose` must lie where .* is made for; got longitude 52\.3000°"):
         check_not_exchanged("EPSG:32632", 52.3, 10.5, "pose")
+
+
+@pytest.mark.parametrize("crs", ["EPSG:2053", "EPSG:5513"])
+def test_grids_that_count_westward_or_southward_are_refused(crs):
+    """South Africa's Lo and Krovak: PROJ exchanges their axes and does not turn them round."""
+    with pytest.raises(ValueError, match=r"`crs` must count eastward and northward; got axes"):
+        metric_crs(crs)

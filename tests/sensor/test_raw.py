@@ -237,3 +237,9 @@ def test_a_calibration_of_another_camera_is_refused():
         ValueError, match="determine S0, S1 and S2 in every superpixel; got others in that of row 0"
     ):
         measure_polarization(raw, calibration=Analysers(alike))
+
+
+def test_the_white_level_of_few_bits_in_a_container_of_12():
+    assert white_level(np.array([[4092, 8]], np.uint16)) == 4092  # 10 bits, two low ones are 0
+    assert white_level(np.array([[65472, 64]], np.uint16)) == 65472
+    assert white_level(np.array([[1023, 1]], np.uint16)) == 1023

@@ -27,10 +27,16 @@ def any_crs(crs: Any) -> pyproj.CRS:
 
 
 def metric_crs(crs: Any) -> pyproj.CRS:
-    """Return a projected CRS in metres, or raise ValueError."""
+    """Return a projected CRS in metres that counts eastward and northward, or raise ValueError."""
     found = any_crs(crs)
     if not found.is_projected or any(axis.unit_name != "metre" for axis in found.axis_info[:2]):
         raise ValueError(f"`crs` must be projected and in metres, as EPSG:32618 is; got {found.name}.")
+    directions = [axis.direction for axis in found.axis_info[:2]]
+    if {"west", "south"} & set(directions):
+        raise ValueError(
+            f"`crs` must count eastward and northward; got axes {' and '.join(directions)} of {found.name}. "
+            "Take the UTM zone."
+        )
     return found
 
 

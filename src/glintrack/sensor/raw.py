@@ -174,16 +174,14 @@ def measure_polarization(
 def white_level(counts: UInt[Array, "row column"]) -> int:
     """Count of a full element, from the bits that a frame uses. [count]
 
-    Low bits that are 0 in every count are below the quantizer's (12 bits in the upper part of 16). Otherwise
-    the frame has the fewest of 8, 10, 12, 14 and 16 bits that hold its counts.
+    The frame has the fewest of 8, 10, 12, 14 and 16 bits that hold its counts. Low bits that are 0 in every
+    count are below the quantizer's (12 bits in the upper part of 16).
     """
     every = int(np.bitwise_or.reduce(counts, axis=None))
     if every == 0:
         return (1 << 8 * counts.dtype.itemsize) - 1
     below = (every & -every).bit_length() - 1
-    if below:
-        return (1 << 8 * counts.dtype.itemsize) - (1 << below)
-    return next((1 << bits) - 1 for bits in (8, 10, 12, 14, 16) if every < 1 << bits)
+    return next(1 << bits for bits in (8, 10, 12, 14, 16) if every < 1 << bits) - (1 << below)
 
 
 def _find_full(counts: Array, layout: layouts.Superpixel, design: RawDesign, name: str) -> Array:

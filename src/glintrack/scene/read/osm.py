@@ -73,7 +73,10 @@ def read_osm(
     content = _prepare(path, root, {t.get("id", "") for t in read_xml(typemaps[0]).iter("type")})
     extract = _parse(path, root)
     if left_hand is None and extract.places:
-        left_hand = keeps_left(*np.mean(list(extract.places.values()), axis=0).tolist())
+        longitude, latitude = np.array(list(extract.places.values()), float).T
+        beyond = (longitude - longitude[0] + 180) % 360 - 180  # across the antimeridian too
+        middle = (longitude[0] + beyond.mean() + 180) % 360 - 180
+        left_hand = keeps_left(float(middle), float(latitude.mean()))
     with tempfile.TemporaryDirectory(prefix="glintrack-osm-") as scratch:
         folder = Path(scratch)
         (folder / "m.osm").write_bytes(content)
