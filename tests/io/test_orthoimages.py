@@ -10,7 +10,7 @@ from PIL import Image
 from glintrack.io.images import write_frame
 from glintrack.io.orthoimages import Geotransform, image_of, leave_out_repeated, open_frames
 from glintrack.io.readings import collect_readings
-from glintrack.io.untrusted import natural_order
+from glintrack.io.untrusted import sort_by_number
 
 HERE = Geotransform(0.0, 0.0, 1.0)
 
@@ -67,9 +67,14 @@ def test_frames_named_by_seconds_are_in_the_order_of_time(tmp_path):
     for k, name in enumerate(("0.0", "0.25", "0.5", "0.75", "1.0")):
         write(tmp_path, f"{name}.png", 20 * k)
     assert levels(open_frames(tmp_path, 4.0, HERE)) == [0, 20, 40, 60, 80]
-    names = ["cam1.3.png", "cam1.20.png", "f_1.05.tif", "f_1.5.tif", "f_10.25.tif", "v2.jp2", "v10.jp2"]
-    paths = [Path(name) for name in names]
-    assert sorted(paths[::-1], key=natural_order) == paths
+    for names in (
+        ["0.9.png", "10.25.png", "1403636579763555584.png", "1403636579763555585.png"],
+        ["cam1.3.png", "cam1.20.png", "f_1.05.tif", "f_1.25.tif", "f_10.25.tif", "v2.jp2", "v10.jp2"],
+    ):
+        paths = [Path(name) for name in names]
+        assert sort_by_number(paths[::-1], "frames") == paths
+    with pytest.raises(ValueError, match=r"`frames` must have names in one order; got names such as f_1"):
+        sort_by_number([Path("f_1.5.tif"), Path("f_1.25.tif")], "frames")
 
 
 def test_frames_that_repeat_are_left_out_and_told(tmp_path):

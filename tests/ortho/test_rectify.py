@@ -8,7 +8,7 @@ import xarray as xr
 
 from glintrack import stokes
 from glintrack.camera import Camera, Pose, ground_points, look_at, project, rays, rotation
-from glintrack.core.records import ServedQueries
+from glintrack.core.records import NONE_SERVED
 from glintrack.core.spectral import wavelength_grid
 from glintrack.ortho import ground_grid, orthorectify, rectify_array, rectify_onto
 from glintrack.sensor import build_sensor, expose
@@ -18,7 +18,6 @@ from tests.plain import plain_sensor
 AREA_M = (-60.0, -45.0, 60.0, 45.0)
 GSD_M = 1.5
 CAMERA = Camera(0.068, 17e-6, 240, 320)  # 0.75 m elements, 1.5 m superpixels at 3000 m
-NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 HEADINGS = [0.0, 0.7, 2.0, -2.5]
 
 

@@ -3,13 +3,11 @@
 import numpy as np
 import xarray as xr
 
-from glintrack.core.records import ServedQueries
 from glintrack.core.spectral import wavelength_grid
 from glintrack.sensor import build_sensor
 from tests.plain import plain_sensor
 
 GRID = wavelength_grid(0.4, 1.0)
-NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 # so much light and so fine a quantizer that noise is under 1e-6 of the signal
 NOISELESS = {
     "integration_time_ms": 1000.0,

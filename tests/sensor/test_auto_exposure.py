@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from glintrack.core.records import ServedQueries
+from glintrack.core.records import NONE_SERVED
 from glintrack.sensor import SensorDesign, build_sensor, mosaic_of, next_exposure_ms, read_out, with_exposure
 from glintrack.sensor.exposure import FULL_SHARE, MAX_STEP
 from tests.plain import plain_sensor
 
 GRID = np.round(np.arange(0.4, 1.0001, 0.02), 9)
-NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 RADIANCE = 60.0
 
 

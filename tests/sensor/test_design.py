@@ -5,11 +5,12 @@ import pytest
 import xarray as xr
 from pydantic import ValidationError
 
+from glintrack.core.records import NONE_SERVED
 from glintrack.core.spectral import wavelength_grid
 from glintrack.devices import wire_grid
 from glintrack.sensor import SensorDesign, build_sensor, design_keys, design_names, expose
 from tests.plain import plain_sensor
-from tests.sensor.light import GRID, NONE_SERVED, sensor_of, uniform
+from tests.sensor.light import GRID, sensor_of, uniform
 
 
 def test_ready_designs_are_designs():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glintrack.core.records import ServedQueries
+from glintrack.core.records import NONE_SERVED, ServedQueries
 from glintrack.sensor import array_readout, mosaic_of
 from tests.sensor.light import NOISELESS, sensor_of, uniform
 
@@ -13,7 +13,7 @@ def test_sigma_is_the_spread_of_repeated_exposures():
     sensor = sensor_of()
     light = uniform(sensor, (20.0, 0, 0))(sensor.channels).values
     readings = [
-        mosaic_of(array_readout(light, sensor, np.random.default_rng(k)), sensor, nobody())
+        mosaic_of(array_readout(light, sensor, np.random.default_rng(k)), sensor, NONE_SERVED)
         for k in range(400)
     ]
     electrons = np.stack([m.electrons for m in readings])
@@ -30,7 +30,7 @@ def test_sigma_grows_toward_the_corners_as_the_light_falls_off():
     sensor = sensor_of(optics={"vignetting": 0.4})
     light = uniform(sensor, (40.0, 0, 0))(sensor.channels).values
     readings = [
-        mosaic_of(array_readout(light, sensor, np.random.default_rng(k)), sensor, nobody())
+        mosaic_of(array_readout(light, sensor, np.random.default_rng(k)), sensor, NONE_SERVED)
         for k in range(400)
     ]
     corner = np.s_[:6, :6]
@@ -38,10 +38,6 @@ def test_sigma_grows_toward_the_corners_as_the_light_falls_off():
     spread = np.stack([m.electrons[corner] for m in readings]).std(axis=0)
     stated = np.mean([m.sigma_e[corner] for m in readings], axis=0)
     assert (spread / stated).mean() == pytest.approx(1.0, abs=0.02)
-
-
-def nobody():
-    return ServedQueries((), np.empty(0, int), np.empty(0, int), ())
 
 
 def test_a_mirror_that_was_away_has_no_reading():
@@ -60,7 +56,7 @@ def test_gains_give_back_the_stokes_vector(polarizer):
     stokes = (20.0, 3.0, -2.0)
     sensor = sensor_of(polarizer=polarizer, **NOISELESS)
     light = uniform(sensor, stokes)(sensor.channels).values
-    mosaic = mosaic_of(array_readout(light, sensor, np.random.default_rng(1)), sensor, nobody())
+    mosaic = mosaic_of(array_readout(light, sensor, np.random.default_rng(1)), sensor, NONE_SERVED)
     places = [(i, j) for i in range(2) for j in range(2) if not isinstance(mosaic.layout[i][j], str)]
     electrons = np.array([mosaic.electrons[20 + i, 20 + j] for i, j in places])
     found = np.linalg.inv(np.array([mosaic.gains[place] for place in places])) @ electrons

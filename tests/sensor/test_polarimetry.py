@@ -7,9 +7,10 @@ import pytest
 import xarray as xr
 
 from glintrack import stokes
+from glintrack.core.records import NONE_SERVED
 from glintrack.sensor import boost, demosaic, expose, noiseless_frame
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, invert, superpixel
-from tests.sensor.light import GRID, NOISELESS, NONE_SERVED, picture, sensor_of, texture, uniform
+from tests.sensor.light import GRID, NOISELESS, picture, sensor_of, texture, uniform
 
 VECTORS = [(50.0, 20.0, -10.0), (50.0, 0.0, 0.0), (50.0, -30.0, 40.0)]
 

@@ -8,13 +8,14 @@ import xarray as xr
 
 from glintrack import stokes
 from glintrack.camera import Camera, Pose, rays
+from glintrack.core.records import NONE_SERVED
 from glintrack.devices import wire_grid
 from glintrack.sensor import Polarizer, array_readout, build_sensor, expose, load_polarizer
 from glintrack.sensor.fixed_pattern import chief_rays, departure_at_incidence
 from glintrack.sensor.polarizer import axis_at_incidence, from_table, from_transmittances
 from tests.oracles import paper_polarizer
 from tests.plain import plain_sensor
-from tests.sensor.light import GRID, NOISELESS, NONE_SERVED, sensor_of, uniform
+from tests.sensor.light import GRID, NOISELESS, sensor_of, uniform
 
 ENDS = np.array([0.4, 2.5])
 ROUNDING = 1e-12

@@ -109,7 +109,7 @@ def check_band(name: str, start_um: float, stop_um: float) -> None:
 def band_response(
     start_um: float, stop_um: float, wavelength_um: Float[Array, "wavelength"]
 ) -> Float[Array, "wavelength"]:
-    """Response of a flat band: the share of each wavelength's cell that lies in it, so ½ at its edges. [1]"""
+    """Response of a flat band: 1 inside, ½ at a wavelength on its edge, 0 outside. [1]"""
     check_band("band", start_um, stop_um)
     return share_of_cells(start_um, stop_um, wavelength_um)
 
@@ -117,10 +117,10 @@ def band_response(
 def share_of_cells(
     start_um: ArrayLike, stop_um: ArrayLike, wavelength_um: Float[Array, "wavelength"]
 ) -> Float[Array, "*band wavelength"]:
-    """Share of the cell of each wavelength that lies in a band. [1]
+    """Fraction of the cell around each wavelength that lies in a band. [1]
 
-    Cells end halfway between wavelengths, and at both ends of the grid: each is as wide as its
-    `quadrature_weights`. A single wavelength is in a band or not.
+    Cells end halfway between wavelengths, and at the ends of the grid. Their widths are the
+    `quadrature_weights`. A single wavelength is 1 inside a band and 0 outside.
     """
     wavelength_um = np.asarray(wavelength_um, dtype=float)
     start, stop = (np.asarray(edge, dtype=float)[..., None] for edge in (start_um, stop_um))

@@ -193,6 +193,7 @@ def match_positions(sequence: LabelledSequence, rows: pd.DataFrame, area: str) -
         distance_m, to_ignored_m = (cdist(place_m[row], label_m[label]) for label in (scored, ignored))
         pairs = np.argwhere(distance_m <= NEAR_M)
         is_kept = tracks[row[pairs[:, 0]]] == before[vehicle[scored[pairs[:, 1]]]]
+        # the same track costs nothing, any other more than the distance limit
         cost_m = np.where(is_kept, 0.0, NEAR_M + distance_m[tuple(pairs.T)])
         i, j = pairs[match(pairs, cost_m, 2 * NEAR_M)].T
         found[scored[j]] = True

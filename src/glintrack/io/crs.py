@@ -35,7 +35,7 @@ def metric_crs(crs: Any) -> pyproj.CRS:
     if {"west", "south"} & set(directions):
         raise ValueError(
             f"`crs` must count eastward and northward; got axes {' and '.join(directions)} of {found.name}. "
-            "Take the UTM zone."
+            "Take one with easting and northing, such as UTM."
         )
     return found
 

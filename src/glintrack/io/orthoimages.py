@@ -22,7 +22,7 @@ from glintrack.io.readings import report_reading
 from glintrack.io.stacks import open_stack
 from glintrack.io.tables import read_csv, read_numbers
 from glintrack.io.times import check_rate, check_steps
-from glintrack.io.untrusted import MAX_CELL_M, MAX_CELLS, MAX_COORDINATE_M, check_file, natural_order
+from glintrack.io.untrusted import MAX_CELL_M, MAX_CELLS, MAX_COORDINATE_M, check_file, sort_by_number
 
 _MIN_CELL_M = 0.005  # a car has half a million of them
 _CHANNELS = ("all", "dolp", "pan")  # first part of the names of a result's frames
@@ -35,7 +35,7 @@ STACKS = (".nc", ".nc4", ".h5", ".zarr")
 RASTERS = ((".tif", ".tiff"), (".png",), (".jpg", ".jpeg"), (".jp2",), (".bmp",))  # in order of preference
 SQUARE = 1e-4  # relative tolerance of square pixels
 _FIRST = 20  # frames whose times are checked before any work
-_MIN_CLOCK_HZ = 50.0  # of a video: times are right to half its period
+_MIN_CLOCK_HZ = 50.0  # on which a video is sampled: the error of a time is at most half a period
 
 
 @dataclass(frozen=True)
@@ -118,9 +118,9 @@ def open_frames(
 
 
 def leave_out_repeated(source: FrameSource, path: Path) -> FrameSource:
-    """Leave out frames that are equal to the one before, in which vehicles would seem to stop.
+    """Leave out frames that are equal to the frame before, because vehicles would seem to stop in them.
 
-    A video has such frames if it shows each picture of a slower camera several times.
+    Such frames occur in a video with a higher frame rate than its camera.
     """
 
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
@@ -183,7 +183,7 @@ def check_grid(grid: Geotransform, what: str) -> None:
 def list_frames(folder: Path, kinds: Sequence[Sequence[str]] = RASTERS) -> tuple[list[Path], int]:
     """List the files of the first kind that a folder has, in natural order, and count all others."""
     found = [[p for p in folder.iterdir() if p.suffix.lower() in kind] for kind in kinds]
-    files = sorted(next((one for one in found if one), []), key=natural_order)
+    files = sort_by_number(next((one for one in found if one), []), "frames")
     if not files:
         known = " ".join(suffix for kind in kinds for suffix in kind)
         raise ValueError(f"`frames` must be a folder with rasters ({known}); got none in {folder}.")
@@ -337,7 +337,8 @@ def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
     if width * height > MAX_CELLS:
         raise ValueError(f"`frames` must have at most {MAX_CELLS:,} pixels; got {width} × {height}: {path}.")
     check_rate(rate_hz or about["fps"])
-    # by the pictures' own times, to a clock that may show one several times; or at a rate all of them
+    # With a rate, every picture is read once. Without one, the timestamps are sampled on a fine clock, and
+    # repetitions are dropped.
     clock_hz = rate_hz or about["fps"] * math.ceil(_MIN_CLOCK_HZ / about["fps"])
     timing = ["-fps_mode", "passthrough"] if rate_hz else ["-vf", f"fps={clock_hz:.6f}"]
     grid = geotransform

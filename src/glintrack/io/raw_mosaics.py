@@ -9,7 +9,7 @@ from jaxtyping import UInt
 from glintrack.core.arrays import Array
 from glintrack.io.read_raster import open_bands
 from glintrack.io.readings import report_reading
-from glintrack.io.untrusted import check_file, natural_order
+from glintrack.io.untrusted import check_file, sort_by_number
 
 RAW_SUFFIXES = (".tif", ".tiff", ".png", ".npy")
 _UNFRAMED = (".raw", ".bin", ".dat", ".img")  # endings of counts without a header
@@ -42,7 +42,7 @@ def raw_files(sources: list[Path]) -> list[Path]:
                 f"`RAW` must hold raws ({' '.join(RAW_SUFFIXES)}); got none in {source}. {remedy}"
             )
         found += inside
-    found.sort(key=natural_order)
+    found = sort_by_number(found, "RAW")
     repeated = sorted(stem for stem, count in Counter(path.stem for path in found).items() if count > 1)
     if repeated:
         raise ValueError(f"`RAW` must have names that differ before the ending; got {repeated[0]} twice.")

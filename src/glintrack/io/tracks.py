@@ -170,9 +170,13 @@ def read_mot(path: Path, name: str, rate_hz: float | None, grid: Geotransform | 
 
 
 def _is_visdrone(values: Array) -> bool:
-    """Return True if columns 7 to 10 are VisDrone's flag, class, truncation and occlusion."""
-    most = np.array([1, 11, 1, 2])
-    return bool(((values[:, 6:] >= 0) & (values[:, 6:] <= most) & (values[:, 6:] % 1 == 0)).all())
+    """Return True if columns 7 to 10 are VisDrone's flag, class, truncation and occlusion.
+
+    Class 0, ignored regions, has flag 0.
+    """
+    more = values[:, 6:]
+    fits = (more >= 0) & (more <= np.array([1, 11, 1, 2])) & (more % 1 == 0)
+    return bool(fits.all() and not ((more[:, 0] == 1) & (more[:, 1] == 0)).any())
 
 
 def _agree(pixels: Array, places_m: Array) -> bool:

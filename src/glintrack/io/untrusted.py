@@ -22,6 +22,8 @@ import subprocess
 import sys
 import warnings
 import zlib
+from collections.abc import Iterable
+from decimal import Decimal
 from io import BufferedIOBase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,7 +37,7 @@ if TYPE_CHECKING:  # a command line is checked without these libraries
 
 MAX_TEXT_BYTES = 256_000_000
 MAX_COORDINATE_M, MAX_CELL_M = 1e8, 1e5  # of projected coordinates and cells of a map
-_SECONDS = re.compile(r"(?:^|[^A-Za-z0-9.])[0-9]+\.[0-9]+$")  # at the end of a name: 0.25, frame_12.5
+_DECIMAL_AT_END = re.compile(r"(?:^|[^A-Za-z0-9.])[0-9]+\.[0-9]+$")  # of a name, as in frame_12.5
 MIN_HEIGHT_M, MAX_HEIGHT_M = -500.0, 9000.0  # of ground and roofs: the Dead Sea's shore, Everest
 _MAX_MESSAGE_LENGTH = 2000
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -90,16 +92,37 @@ def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Pa
     return path
 
 
-def natural_order(path: Path) -> list[tuple[int, float, str]]:
-    """Sort key of paths with numbers, 2 before 10; a decimal fraction at the end, 0.25 before 0.5."""
-    parts = re.split(r"([0-9]+)", str(path))
+def sort_by_number(paths: Iterable[Path], name: str) -> list[Path]:
+    """Sort paths by the numbers in their names, 2 before 10; names that are decimal numbers by their value.
+
+    Raises
+    ------
+    ValueError
+        If the numbers after a point could be counts or decimals, as in frame_1.5 and frame_1.10.
+    """
+    paths = list(paths)
+    if all(re.fullmatch(r"[0-9]+(\.[0-9]+)?", path.stem) for path in paths):
+        return sorted(paths, key=lambda path: (_numbers(path.parent), Decimal(path.stem), path.suffix))
+    by_count = sorted(paths, key=_numbers)
+    by_value = sorted(paths, key=functools.partial(_numbers, has_decimals=True))
+    if by_count != by_value:
+        example = next(one for one, other in zip(by_count, by_value, strict=True) if one != other)
+        raise ValueError(
+            f"`{name}` must have names in one order; got names such as {example.name}, whose last number is "
+            "a count or decimals. Give all names the same number of digits."
+        )
+    return by_count
+
+
+def _numbers(path: Path, has_decimals: bool = False) -> list[tuple[int, float, str]]:
+    """Return a sort key of the texts and numbers of a path, with decimals at the end if asked for."""
+    parts = re.split(r"([0-9]+)", str(path.parent / path.stem))
     key: list[tuple[int, float, str]] = [
         (0, int(part), part) if k % 2 else (1, 0, part) for k, part in enumerate(parts)
     ]
-    if _SECONDS.search(path.stem):
-        last = len(parts) - 2 - 2 * len(re.findall(r"[0-9]+", path.suffix))
-        key[last] = 0, float(f"0.{parts[last]}"), parts[last]
-    return key
+    if has_decimals and _DECIMAL_AT_END.search(path.stem):
+        key[-2] = 0, float(f"0.{parts[-2]}"), parts[-2]
+    return [*key, (1, 0, path.suffix)]
 
 
 def resolve_path(path: str | Path) -> Path:

@@ -188,7 +188,7 @@ class City:
 def build_scene(design: SceneDesign) -> City:
     """Build a city and its traffic from a design.
 
-    A city that names no file is kept for the next case of the process, as of a study; treat it as read-only.
+    The last city without user files is cached, because the cases of a study share it. Treat it as read-only.
 
     Parameters
     ----------
@@ -201,13 +201,13 @@ def build_scene(design: SceneDesign) -> City:
         If a file is missing or bad, or an extra or a system library is missing.
     """
     of_files = any(value for key, value in design if key.endswith("_file"))
-    city = _build(design) if of_files else _keep(design.model_dump_json(exclude_unset=True))
+    city = _build(design) if of_files else _build_cached(design.model_dump_json(exclude_unset=True))
     warn_of_jam(city.traffic, city.extent_m)
     return city
 
 
 @lru_cache(maxsize=1)
-def _keep(design: str) -> City:
+def _build_cached(design: str) -> City:
     return _build(SceneDesign.model_validate_json(design))
 
 

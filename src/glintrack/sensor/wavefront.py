@@ -106,7 +106,7 @@ def wavefront_um(
     across_pupil = np.linspace(-1, 1, samples)
     x, y = np.meshgrid(across_pupil, across_pupil)
     r, t = np.hypot(x, y), np.arctan2(y, x)
-    # light that reaches an array behind focus by δ has crossed over: −δ/(8N²) at the pupil's edge, RMS 1/√12
+    # array behind focus by δ: path error −δ/(8N²) at the pupil's edge, since the rays have crossed; RMS 1/√12
     added = Counter({_DEFOCUS: -1e3 * optics.defocus_um / (8 * design.f_number**2) / math.sqrt(12)})
     for node, share in _nodes_at(design, field):
         added.update({index: share * value for index, value in node.items()})

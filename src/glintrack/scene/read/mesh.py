@@ -169,7 +169,7 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
 
 
 def _check_up(path: Path, vertices: Array, faces: Array) -> None:
-    """Refuse a mesh that is higher than wide with more level ground about the other axis."""
+    """Refuse a mesh that is taller than wide and has more horizontal area if the other axis points up."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     level = np.abs(np.cross(b - a, c - a)).sum(axis=0)
     size = np.ptp(vertices, axis=0)

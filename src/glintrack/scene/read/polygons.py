@@ -68,15 +68,15 @@ def read_polygons(path: Path, network: NetLocation | None = None) -> Polygons:
     Parameters
     ----------
     path
-        Of SUMO's polyconvert, in the coordinates of a network.
+        File of SUMO's polyconvert.
     network
-        Position of the network in whose coordinates they are wanted; the file's own by default.
+        Location of the target network. Without it the coordinates of the file are returned.
 
     Raises
     ------
     ValueError
-        If the file is damaged or hostile, its coordinates are not numbers, or its network had another
-        projection.
+        If the file is damaged or hostile, its coordinates are not numbers, or its projection is not that of
+        the network.
     """
     root = read_xml(path)
     if root.tag != "additional":

@@ -258,9 +258,8 @@ def _office_park(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
             Building(rotated, 3.5 * storeys, "flat", "concrete", roof, glazing="curtain", storey_m=3.5)
         )
     rest = block.buffer(-9).difference(unary_union(placed).buffer(5))
-    parks = sorted(polygons(rest.buffer(-3).buffer(3)), key=lambda p: p.area)
-    for largest in parks[-1:]:
-        _car_park(plan, largest, rng, occupancy=0.34)
+    if parts := polygons(rest.buffer(-3).buffer(3)):
+        _car_park(plan, max(parts, key=lambda p: p.area), rng, occupancy=0.34)
     _verge(plan, block, rng)
 
 
