@@ -117,6 +117,24 @@ def test_an_image_comes_to_its_place_in_any_crs(folder, crs):
         assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
 
 
+def far_relief(folder):
+    """The same heights under the frame; a mountain above the lens and a pit elsewhere in the file."""
+    with rasterio.open(folder / "dem.tif") as file:
+        dem, transform = file.read(1), file.transform
+    dem[:20, :20], dem[-20:, :20] = 2500, -400
+    write_raster(folder / "dem.tif", dem, transform=transform)
+
+
+def test_heights_that_the_frame_does_not_see_change_nothing(folder):
+    rectify(folder, "--dem", "dem.tif", out="alone.tif")
+    far_relief(folder)
+    result = rectify(folder, "--dem", "dem.tif")
+    assert result.exit_code == 0, result.exception
+    with rasterio.open(folder / "alone.tif") as alone, rasterio.open(folder / "ortho.tif") as file:
+        assert file.transform == alone.transform
+        np.testing.assert_array_equal(file.read(), alone.read())
+
+
 def test_a_distorting_lens_is_undone_by_its_camera_file(folder):
     lens = Distortion(k1=-20.0, p1=0.05)  # over a narrow field: the corners move by three pixels
     photograph(folder / "photo.tif", camera=replace(CAMERA, distortion=lens))
@@ -234,15 +252,16 @@ def holed(folder, rows=slice(55, 65)):
 
 def test_ground_without_height_is_nan_and_told(folder):
     """A hole under the north of the frame: the rest is as without it."""
-    rectify(folder, "--dem", "dem.tif", out="whole.tif")
+    options = ("--dem", "dem.tif", "--gsd", "0.5", "--area", "604070", "5792260", "604170", "5792360")
+    rectify(folder, *options, out="whole.tif")
     holed(folder, slice(55, 60))
     with pytest.warns(UserWarning, match="`dem` has no height in .* % of the ground in the frame: NaN there"):
-        result = rectify(folder, "--dem", "dem.tif")
+        result = rectify(folder, *options)
     assert result.exit_code == 0, result.exception
     with rasterio.open(folder / "whole.tif") as whole, rasterio.open(folder / "ortho.tif") as file:
         full, bands, share = whole.read(), file.read(), float(file.tags()["ground_without_height"])
     kept = np.isfinite(bands)
-    np.testing.assert_array_equal(bands[kept], full[kept])
+    np.testing.assert_allclose(bands[kept], full[kept], rtol=1e-6)
     assert 0.2 < share < 0.9
     lost = np.isfinite(full[0]) & ~kept[0]
     assert lost.sum() / np.isfinite(full[0]).sum() == pytest.approx(share, rel=0.1)
@@ -267,6 +286,12 @@ def exchanged(folder):
     edited(folder, "pose.toml", "easting_m", "other")
     edited(folder, "pose.toml", "northing_m", "easting_m")
     return edited(folder, "pose.toml", "other", "northing_m")
+
+
+def above_take_off(folder):
+    """A height above a take-off at 80 m, lower than its ground but above the lowest of the file."""
+    far_relief(folder)
+    edited(folder, "pose.toml", "height_m = 880", "height_m = 60")
 
 
 def exchanged_near(folder):
@@ -299,6 +324,10 @@ def exchanged_near(folder):
         (lambda f: edited(f, "pose.toml", "omega_deg", "roll_deg"), "attitude as heading_deg, roll_deg"),
         (lambda f: edited(f, "pose.toml", "omega_deg = ", "omega_deg = 9"), "below the horizon"),
         (lambda f: edited(f, "pose.toml", "height_m = 880", "height_m = 20"), "above the ground"),
+        (
+            above_take_off,
+            "above the ground, .*; got 60 m. Are .* not above take-off",
+        ),
         (lambda f: edited(f, "pose.toml", CRS, "EPSG:4326"), "projected and in metres"),
         (lambda f: edited(f, "pose.toml", CRS, "EPSG:77"), "a coordinate reference system such as"),
         (lambda f: edited(f, "pose.toml", CRS, "EPSG:2263"), "projected and in metres"),

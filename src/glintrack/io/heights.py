@@ -47,14 +47,33 @@ class NotReachedError(ValueError):
     """Heights do not cover the ground that a photograph sees."""
 
 
-def read_height_range(path: Path, option: str) -> tuple[float, float]:
-    """Read the lowest and highest height of a raster, from an overview of it. [m]"""
+def read_height_range(
+    path: Path, option: str, area: tuple[float, float, float, float] | None = None, crs: str = ""
+) -> tuple[float, float]:
+    """Read the lowest and highest height of a raster over an area, from an overview of it. [m]
+
+    Parameters
+    ----------
+    path, option
+        File, and its name in error messages.
+    area, crs
+        West, south, east, north, and their CRS; all of the raster by default.
+
+    Raises
+    ------
+    ValueError
+        As `read_heights`, or if no height is known over the area.
+    """
     with _open_heights(path, option) as file:
-        size = min(file.height, 1024), min(file.width, 1024)
-        values = read_height_band(file, option, shape=size)
+        window = Window(0, 0, file.width, file.height)  # pyright: ignore[reportCallIssue]
+        if area is not None:
+            x, y = np.linspace(area[0], area[2], 33), np.linspace(area[1], area[3], 33)
+            window = _window_over(file, option, *np.meshgrid(x, y), crs)
+        values = read_height_band(file, option, window, (min(window.height, 1024), min(window.width, 1024)))
     values = values[np.isfinite(values)]
     if values.size == 0:
-        raise ValueError(f"`{option}` must hold heights; got none in {path.name}.")
+        where = "" if area is None else " where the frame looks. Fill it with gdal_fillnodata.py"
+        raise ValueError(f"`{option}` must hold heights; got none in {path.name}{where}.")
     return float(values.min()), float(values.max())
 
 
@@ -76,27 +95,31 @@ def read_heights(
         If the file is no raster, has no CRS, or does not cover the positions at all.
     """
     with _open_heights(path, option) as file:
-        own = file.crs.to_wkt()
-        transform = change_crs(crs, own).transform
-        places = np.stack(transform(np.ravel(x), np.ravel(y)))
-        places = places[:, np.isfinite(places).all(axis=0)]
-        if places.size == 0:
-            raise ValueError(f"`{option}` must reach the frame's ground; got a CRS that cannot: {path.name}")
-        pixel = np.stack(transform_points(~file.transform, *places))
-        low, high = np.floor(pixel.min(axis=1)) - 3, np.ceil(pixel.max(axis=1)) + 3
-        low, high = np.maximum(low, 0), np.minimum(high, (file.width, file.height))
-        if not (high - low >= 1).all():  # also if they are NaN
-            raise NotReachedError(
-                f"`{option}` must reach the frame's ground; got {path.name} over "
-                f"{', '.join(f'{v:.6g}' for v in file.bounds)} in {file.crs}"
-            )
-        if np.prod(high - low) > _MAX_HEIGHTS:
-            raise ValueError(
-                f"`{option}` must be coarser, or `area` smaller; got {np.prod(high - low):.3g} heights"
-            )
-        window = Window(*low, *(high - low))  # pyright: ignore[reportCallIssue]
+        window = _window_over(file, option, x, y, crs)
+        count = window.width * window.height
+        if count > _MAX_HEIGHTS:
+            raise ValueError(f"`{option}` must be coarser, or `area` smaller; got {count:.3g} heights")
         values = read_height_band(file, option, window)
-        return Heights(values, file.window_transform(window), own, path.name)
+        return Heights(values, file.window_transform(window), file.crs.to_wkt(), path.name)
+
+
+def _window_over(file: rasterio.DatasetReader, option: str, x: Array, y: Array, crs: str) -> Window:
+    """Smallest part of a raster under some positions, three pixels wider."""
+    name = Path(file.name).name
+    transform = change_crs(crs, file.crs.to_wkt()).transform
+    places = np.stack(transform(np.ravel(x), np.ravel(y)))
+    places = places[:, np.isfinite(places).all(axis=0)]
+    if places.size == 0:
+        raise ValueError(f"`{option}` must reach the frame's ground; got a CRS that cannot: {name}")
+    pixel = np.stack(transform_points(~file.transform, *places))
+    low, high = np.floor(pixel.min(axis=1)) - 3, np.ceil(pixel.max(axis=1)) + 3
+    low, high = np.maximum(low, 0), np.minimum(high, (file.width, file.height))
+    if not (high - low >= 1).all():  # also if they are NaN
+        raise NotReachedError(
+            f"`{option}` must reach the frame's ground; got {name} over "
+            f"{', '.join(f'{v:.6g}' for v in file.bounds)} in {file.crs}"
+        )
+    return Window(*low.astype(int).tolist(), *(high - low).astype(int).tolist())  # pyright: ignore[reportCallIssue]
 
 
 def is_within(path: Path, option: str, x: float, y: float, crs: str) -> bool:

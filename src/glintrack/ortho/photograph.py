@@ -1,6 +1,7 @@
 """Orthophoto of a user's photograph by its camera, its pose and the heights under it, in any CRS."""
 
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +13,14 @@ from glintrack.camera import Camera, project, rays
 from glintrack.core.arrays import Array
 from glintrack.core.schema import check
 from glintrack.io import images, netcdf
-from glintrack.io.heights import read_height_range
+from glintrack.io.heights import NotReachedError, read_height_range
 from glintrack.io.photographs import PlacedPose, read_camera, read_picture, read_pose
 from glintrack.io.untrusted import MAX_HEIGHT_M, MIN_HEIGHT_M
 from glintrack.ortho.rasters import (
     MapGrid,
+    check_area,
     displacement_against,
+    footprint,
     frame_border,
     heights_under,
     occlusion_by_raster,
@@ -25,6 +28,7 @@ from glintrack.ortho.rasters import (
 from glintrack.ortho.rectify import GridCells, rectify_frame, rectify_onto
 
 _EXACT = ("uint8", "uint16", "int16")  # types with numbers that are exact in float32
+_NARROWINGS = 3  # of the range of heights to the ground that the frame sees
 
 
 @dataclass(frozen=True)
@@ -173,8 +177,8 @@ def rectify(
     source = frame if isinstance(frame, xr.Dataset) else Path(frame)
     name = "" if isinstance(source, xr.Dataset) else source.name
     placed = pose if isinstance(pose, PlacedPose) else read_pose(Path(pose), name)
-    levels = ground_levels(ground)
-    check_pose(lens, placed, levels, is_whole=area is None)
+    check_pose(lens, placed, is_whole=area is None)
+    levels = ground_levels(ground, lens, placed, area, crs)
     photograph = Photograph.read(source, lens, placed)
     grid = MapGrid.over(lens, placed, levels, crs, gsd, area)
     east, north = grid.places(placed)
@@ -203,17 +207,52 @@ def rectify(
     return Orthophoto(bands, names, grid, tags, photograph.dtype if photograph.dtype in _EXACT else "float32")
 
 
-def ground_levels(ground: Path | str | float) -> tuple[float, float]:
-    """Lowest and highest ground of a raster, or twice the one height, which is checked. [m]"""
-    if not isinstance(ground, int | float):
-        return read_height_range(Path(ground), "dem")
-    if not MIN_HEIGHT_M <= ground <= MAX_HEIGHT_M:
-        raise ValueError(f"`height` must lie within {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m; got {ground:g}.")
-    return float(ground), float(ground)
+def ground_levels(
+    ground: Path | str | float,
+    camera: Camera,
+    placed: PlacedPose,
+    area: tuple[float, float, float, float] | None = None,
+    crs: str | None = None,
+) -> tuple[float, float]:
+    """Lowest and highest ground that a frame sees or an area has, see `rectify`. [m]
+
+    Raises
+    ------
+    ValueError
+        If no height is known there, or the lens is not above the ground.
+    """
+    if area is not None:
+        check_area(area)
+    if isinstance(ground, int | float):
+        if not MIN_HEIGHT_M <= ground <= MAX_HEIGHT_M:
+            raise ValueError(
+                f"`height` must lie within {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m; got {ground:g}."
+            )
+        _check_above(placed, ground)
+        return float(ground), float(ground)
+    path, own = Path(ground), placed.crs if crs is None else crs
+    levels = read_height_range(path, "dem")
+    _check_above(placed, levels[0])
+    lens = placed.origin_m[0] + placed.pose.east_m, placed.origin_m[1] + placed.pose.north_m
+    with suppress(NotReachedError):  # its place is checked where the heights are read
+        for _ in range(_NARROWINGS):
+            seen = footprint(camera, placed, levels, own) if area is None else area
+            levels = read_height_range(path, "dem", seen, own)
+            _check_above(placed, levels[0])
+        _check_above(placed, read_height_range(path, "dem", (*lens, *lens), placed.crs)[0])
+    return levels
 
 
-def check_pose(camera: Camera, placed: PlacedPose, levels_m: tuple[float, float], is_whole: bool) -> None:
-    """Refuse a pose under ground, at the horizon (with any pixel if the frame is taken whole), or unclear."""
+def _check_above(placed: PlacedPose, ground_m: float) -> None:
+    if placed.pose.up_m <= ground_m:
+        raise ValueError(
+            f"`pose.height_m` must be above the ground, {ground_m:g} m; got {placed.pose.up_m:g} m. Are both "
+            "in the same heights, and not above take-off?"
+        )
+
+
+def check_pose(camera: Camera, placed: PlacedPose, is_whole: bool) -> None:
+    """Refuse a pose at the horizon (with any pixel if the frame is taken whole) or unclear."""
     pixels = frame_border(camera) if is_whole else np.array([camera.principal_point])
     if (rays(camera, placed.pose, pixels)[..., 2] > -1e-3).any():
         remedy = "Give --area to rectify a part." if is_whole else "Check the angles' signs and units."
@@ -221,11 +260,6 @@ def check_pose(camera: Camera, placed: PlacedPose, levels_m: tuple[float, float]
             f"`pose` must look below the horizon; got a line of sight at or above it in the frame. {remedy}"
         )
     _check_order(camera, placed)
-    if placed.pose.up_m <= levels_m[0]:
-        raise ValueError(
-            f"`pose.height_m` must be above the ground, {levels_m[0]:g} m at its lowest; "
-            f"got {placed.pose.up_m:g} m. Are both in the same heights?"
-        )
 
 
 def _check_order(camera: Camera, placed: PlacedPose) -> None:

@@ -15,9 +15,8 @@ from glintrack.io.photographs import PlacedPose, read_camera, read_poses
 from glintrack.io.readings import collect_readings, report_reading
 from glintrack.io.times import check_rate, check_steps
 from glintrack.ortho.photograph import check_pose, ground_levels, rectify
-from glintrack.ortho.rasters import MapGrid, footprint
+from glintrack.ortho.rasters import MAX_CELLS_PER_PIXEL, MapGrid, footprint
 
-MAX_CELLS_PER_PIXEL = 25  # of the grid, for each pixel of a frame: five frames long and wide
 METHOD = "cubic"  # the least blur that depends on the frame
 _OWN = ".nc"  # frames of `glintrack sensor expose`
 
@@ -64,17 +63,19 @@ def rectify_frames(
         raise ValueError(f"`frames` must be a folder of images to be placed by their poses; got {folder}.")
     files, others = orthoimages.list_frames(folder, (*orthoimages.RASTERS, (_OWN,)))
     lens, placed = read_camera(camera), read_poses(poses, [file.name for file in files])
-    own, levels = crs or placed[0].crs, ground_levels(ground)
+    own = crs or placed[0].crs
     metric_crs(own)
-    seen = list[Extent]()
+    seen, levels = list[Extent](), list[tuple[float, float]]()
     for file, one in zip(files, placed, strict=True):
         with _named(file):
-            check_pose(lens, one, levels, is_whole=area_m is None)
+            check_pose(lens, one, is_whole=area_m is None)
+            levels.append(ground_levels(ground, lens, one, area_m, own))
             if area_m is None:
-                seen.append(footprint(lens, one, levels, own))
+                seen.append(footprint(lens, one, levels[-1], own))
     west, south, east, north = zip(*seen, strict=True) if area_m is None else ((edge,) for edge in area_m)
     area = Extent(min(west), min(south), max(east), max(north))
-    grid = _plan_grid(lens, placed[len(placed) // 2], levels, own, gsd_m, area)
+    middle = len(placed) // 2
+    grid = _plan_grid(lens, placed[middle], levels[middle], own, gsd_m, area)
     times = _frame_times(folder, files, rate_hz, times_s)
     report_reading(folder, "frames", len(files) + others, len(files), {f"not {files[0].suffix}": others})
 

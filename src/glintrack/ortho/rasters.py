@@ -30,6 +30,7 @@ from glintrack.ortho.image_shift import displacement_between
 from glintrack.ortho.occlusion import occlusion_mask
 
 _MAX_CELLS = 400e6
+MAX_CELLS_PER_PIXEL = 25  # for each pixel of a frame: five frames long and wide
 _OUTWARD = (math.floor, math.floor, math.ceil, math.ceil)
 
 
@@ -64,7 +65,9 @@ class MapGrid:
         own = placed.crs if crs is None else crs
         if area is None:
             area = footprint(camera, placed, levels_m, own)
+        most = _MAX_CELLS
         if gsd is None:
+            most = min(most, MAX_CELLS_PER_PIXEL * camera.rows * camera.columns)
             if crs is not None and CRS.from_user_input(own).is_geographic:
                 raise ValueError(f"`gsd` must be given in degrees for a geographic CRS; got none for {crs}.")
             # side of a square as large as the middle pixel's share of the ground, to two digits
@@ -76,18 +79,14 @@ class MapGrid:
             gsd = float(f"{side / CRS.from_user_input(own).linear_units_factor[1]:.2g}")
         if not 0 < gsd <= MAX_CELL_M:
             raise ValueError(f"`gsd` must be positive and at most {MAX_CELL_M:g}; got {gsd:g}.")
-        if not all(abs(v) <= MAX_COORDINATE_M for v in area):
-            raise ValueError(
-                f"`area` must lie within ±{MAX_COORDINATE_M:g}; got {' '.join(f'{v:g}' for v in area)}."
-            )
+        check_area(area)
         west, south, east, north = (f(v / gsd) * gsd for f, v in zip(_OUTWARD, area, strict=True))
         if not (west < east and south < north):
             raise ValueError(f"`area` must be west south east north and not empty; got {area}.")
-        if (east - west) / gsd * (north - south) / gsd > _MAX_CELLS:
-            low = f" (the lens at {placed.pose.up_m:g} m is below ground of {levels_m[1]:g} m)"
+        if (east - west) / gsd * (north - south) / gsd > most:
             raise ValueError(
-                f"`gsd` must be larger, or `area` smaller; got {(east - west) / gsd:.3g} × "
-                f"{(north - south) / gsd:.3g} cells{low if placed.pose.up_m < levels_m[1] else ''}."
+                f"`gsd` must be larger, or `area` smaller, for at most {most:,.0f} cells; got "
+                f"{(east - west) / gsd:,.0f} × {(north - south) / gsd:,.0f} cells of {gsd:g}."
             )
         columns, rows = max(round((east - west) / gsd), 2), max(round((north - south) / gsd), 2)
         x, y = west + gsd * (np.arange(columns) + 0.5), north - gsd * (np.arange(rows) + 0.5)
@@ -103,6 +102,14 @@ class MapGrid:
         return east - placed.origin_m[0], north - placed.origin_m[1]
 
 
+def check_area(area: tuple[float, float, float, float]) -> None:
+    """Refuse an area that is not on Earth."""
+    if not all(abs(v) <= MAX_COORDINATE_M for v in area):
+        raise ValueError(
+            f"`area` must lie within ±{MAX_COORDINATE_M:g}; got {' '.join(f'{v:g}' for v in area)}."
+        )
+
+
 def frame_border(camera: Camera) -> Array:
     """Pixels' outer corners and edges, every one on the border of the frame."""
     rows = np.linspace(-0.5, camera.rows - 0.5, 33)
@@ -113,8 +120,8 @@ def frame_border(camera: Camera) -> Array:
 
 
 def footprint(camera: Camera, placed: PlacedPose, levels: tuple[float, float], crs: str) -> Extent:
-    """Bounds, in a CRS, of the frame's footprint between two heights."""
-    heights = [h for h in levels if h < placed.pose.up_m]
+    """Bounds, in a CRS, of the frame's footprint between two heights, as far as they are below the lens."""
+    heights = [min(h, placed.pose.up_m - 1) for h in levels]
     border = np.concatenate([ground_points(camera, placed.pose, frame_border(camera), h) for h in heights])
     east, north = border[:, 0] + placed.origin_m[0], border[:, 1] + placed.origin_m[1]
     places = np.stack(transform_places(east, north, placed.crs, crs), axis=-1)
@@ -181,8 +188,11 @@ def occlusion_by_raster(
     path: Path, grid: MapGrid, placed: PlacedPose, east: Array, north: Array, ground: Array
 ) -> Array:
     """Cells hidden by a surface model, which is first resampled to an even grid in metres."""
-    lowest, highest = read_height_range(path, "surface")
     pose = placed.pose
+    east_m, north_m = np.append(east, pose.east_m), np.append(north, pose.north_m)
+    west, south = east_m.min() + placed.origin_m[0], north_m.min() + placed.origin_m[1]
+    seen = west, south, west + np.ptp(east_m), south + np.ptp(north_m)
+    lowest, highest = read_height_range(path, "surface", seen, placed.crs)
     fall = max(pose.up_m - highest, 1.0)
     far = float(np.hypot(east - pose.east_m, north - pose.north_m).max())
     reach = (highest - min(lowest, float(np.nanmin(ground)))) * far / fall + 2 * grid.gsd
@@ -190,10 +200,12 @@ def occlusion_by_raster(
         (pose.east_m, east.min(), east.max()), (pose.north_m, north.min(), north.max()))]  # fmt: skip
     west, right = min(east.min(), toward[0]), max(east.max(), toward[0])
     south, top = min(north.min(), toward[1]), max(north.max(), toward[1])
-    step = max(_pixel_size(path, placed, west, south), 0.05)
+    x0, y0, side = _pixel_near(path, placed, west, south)
+    step = max(side, 0.05)
+    west, south = west - (west - x0) % step, south - (south - y0) % step  # on the raster's own centres
     if (right - west) * (top - south) / step**2 > _MAX_SURFACE_CELLS:
         raise ValueError(f"`surface` must be coarser, or `area` smaller; got cells of {step:g} m.")
-    x, y = np.arange(west, right + step, step), np.arange(top, south - step, -step)
+    x, y = np.arange(west, right + step, step), np.arange(south, top + step, step)[::-1]
     axes = x + placed.origin_m[0], y + placed.origin_m[1]
     heights = read_heights(path, "surface", *np.meshgrid(axes[0][[0, -1]], axes[1][[0, -1]]), placed.crs)
     values = _at(heights, *transform_axes(*axes, placed.crs, heights.crs))
@@ -205,9 +217,12 @@ def occlusion_by_raster(
     return occlusion_mask(model, pose, east, north, ground)
 
 
-def _pixel_size(path: Path, placed: PlacedPose, west: float, south: float) -> float:
-    """Side of a raster's pixel at a place, in metres."""
-    x, y = west + placed.origin_m[0] + np.array([0.0, 100.0]), south + placed.origin_m[1] + np.array([0.0])
+def _pixel_near(path: Path, placed: PlacedPose, east: float, north: float) -> tuple[float, float, float]:
+    """East and north of a pixel's centre near a place, from the pose's origin, and the pixel's side. [m]"""
+    x, y = east + placed.origin_m[0] + np.array([0.0, 100.0]), north + placed.origin_m[1] + np.array([0.0])
     heights = read_heights(path, "surface", *np.meshgrid(x, y), placed.crs)
     column, row = transform_points(heights.to_pixel, *transform_axes(x, y, placed.crs, heights.crs))
-    return 100.0 / float(np.hypot(np.diff(column), np.diff(row))[0, 0])
+    side = 100.0 / float(np.hypot(np.diff(column), np.diff(row))[0, 0])
+    centre = transform_points(~heights.to_pixel, np.round(column[0, :1]), np.round(row[0, :1]))
+    east_m, north_m = transform_places(*centre, heights.crs, placed.crs)
+    return float(east_m[0]) - placed.origin_m[0], float(north_m[0]) - placed.origin_m[1], side
