@@ -159,3 +159,34 @@ def test_a_packaged_case_is_read_by_its_name():
     assert Case.from_name("quickstart") == Case.from_toml(find_case("quickstart"))
     with pytest.raises(ValueError, match=r"`name` must be a packaged case \(arterial, .*\); got 'table1'"):
         Case.from_name("table1")
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "remedy"),
+    [
+        ({"flight.gimbal_depression_deg": 40.0}, "flight.gimbal_depression_deg", "gimbal = 'fixed' uses it"),
+        ({"flight.course_deg": 10.0}, "flight.course_deg", "kind = 'straight' uses it"),
+        ({"flight.leg_m": 100.0}, "flight.leg_m", "kind = 'racetrack' uses it"),
+        ({"flight.waypoint_datum_m": 50.0}, "flight.waypoint_datum_m", "kind = 'waypoints' uses it"),
+        (
+            {"sensor.polarizer_extinction_ratio": 300.0},
+            "sensor.polarizer_extinction_ratio",
+            "polarizer = 'constant' uses it",
+        ),
+        (
+            {"sensor.auto_exposure.longest_ms": 2.0},
+            "sensor.auto_exposure.longest_ms",
+            "Another auto_exposure.quantile uses it",
+        ),
+        ({"track.motion.braking_m_s2": 1.0}, "track.motion.braking_m_s2", "motion.model = 'imm' uses it"),
+        ({"track.association.scans": 2}, "track.association.scans", "association.method = 'mht' uses it"),
+    ],
+)
+def test_a_key_that_the_other_keys_ignore_is_refused(changes, key, remedy):
+    with pytest.raises(ValueError, match=rf"`{key}` must be left out with .*, which ignores it.*{remedy}"):
+        Case().replace(changes)
+
+
+def test_a_ready_camera_takes_another_polarizer():
+    other = Case().replace({"sensor.ready": "imx250mzr", "sensor.polarizer": "ideal"}).sensor
+    assert other.polarizer == "ideal" and other.polarizer_transmittance == 1.0

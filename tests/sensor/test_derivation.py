@@ -13,7 +13,10 @@ from glintrack.sensor.derivation import MAX_EXPOSURE_MS, ORIGINS, derived_values
 
 DEFAULTS = {"spot_sigma_um": 12.0, "full_well_e": 267e3, "read_noise_e": 20.0, "integration_time_ms": 0.085}
 A_ROUNDED_VALUE = 5e-4  # of four digits
-CAMERA = {"pitch_um": 3.45, "f_number": 2.8, "layout": "0-45-90-135", "polarizer_transmittance": 0.8}
+CAMERA = {
+    "pitch_um": 3.45, "f_number": 2.8, "layout": "0-45-90-135", "polarizer": "constant",
+    "polarizer_transmittance": 0.8,
+}  # fmt: skip
 
 
 def test_the_default_sensor_keeps_its_values():

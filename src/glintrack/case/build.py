@@ -76,7 +76,7 @@ def build_scenario(case: Case) -> Scenario:
     tables = solve_tables(case.atmosphere)
     origin_m = (city.origin_easting_m, city.origin_northing_m)
     design = case.flight
-    if design.waypoint_datum_m is None:
+    if design.kind == "waypoints" and design.waypoint_datum_m is None:
         design = design.replace({"waypoint_datum_m": city.origin_height_m})
     flight = build_flight(design, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
     sky = unpack_sky(tables, flight.mean_altitude_m)

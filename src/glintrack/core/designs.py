@@ -11,6 +11,7 @@ import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
@@ -64,6 +65,41 @@ class Design(BaseModel):
     def explicit_values(self) -> dict[str, Any]:
         """Values that are not left to their defaults."""
         return {k: getattr(self, k) for k in type(self).model_fields if k in self.model_fields_set}
+
+
+def refuse_ignored(
+    design: Design,
+    uses: Mapping[tuple[str, tuple[Any, ...]], Sequence[str]],
+    allowed: Mapping[str, Any] | None = None,
+) -> None:
+    """Refuse keys with other values than their defaults that the choices in a design ignore.
+
+    Parameters
+    ----------
+    design
+        A table of a case.
+    uses
+        Choice and its values that use some keys, to these keys; without values, all but its default do.
+    allowed
+        Key to another value that it may always have.
+    """
+    for (choice, values), keys in uses.items():
+        chosen = attrgetter(choice)(design)
+        if chosen in values or (not values and chosen != _default_of(design, choice)):
+            continue
+        for key in keys:
+            found = attrgetter(key)(design)
+            if found not in (_default_of(design, key), (allowed or {}).get(key)):
+                other = f"{choice} = {' or '.join(map(repr, values))}" if values else f"Another {choice}"
+                raise ValueError(
+                    f"`{key}` must be left out with {choice} = {chosen!r}, which ignores it; got {found!r}. "
+                    f"{other} uses it."
+                )
+
+
+def _default_of(design: Design, key: str) -> Any:
+    table, _, name = key.rpartition(".")
+    return type(attrgetter(table)(design) if table else design).model_fields[name].default
 
 
 def types_of(model: type[BaseModel], name: str) -> set[Any]:

@@ -6,11 +6,19 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from glintrack.core.designs import Design
+from glintrack.core.designs import Design, refuse_ignored
 from glintrack.core.schema import EARTH_RADIUS_M
 from glintrack.io.untrusted import resolve_path
 
 MIN_ALTITUDE_M, MAX_ALTITUDE_M = 200.0, 20_000.0
+# choice and its values that use some keys; these keys
+_USES = {
+    ("kind", ("straight",)): ["course_deg"],
+    ("kind", ("racetrack",)): ["leg_m", "turn_radius_m"],
+    ("kind", ("waypoints",)): ["waypoint_datum_m"],
+    ("kind", ("orbit", "racetrack", "straight")): ["azimuth_from_sun_deg", "direction"],
+    ("gimbal", ("fixed",)): ["gimbal_azimuth_deg", "gimbal_depression_deg"],
+}
 _EARTH_GM = 3.986004e14  # m³ s⁻² (IERS 2010)
 
 
@@ -89,6 +97,7 @@ class FlightDesign(Design):
                 "`flight.waypoint_file` must be given with kind = 'waypoints' and only then; got "
                 f"kind = {self.kind!r} and {self.waypoint_file!r}."
             )
+        refuse_ignored(self, _USES)
         return self
 
     def resolve_files(self, folder: Path) -> "FlightDesign":

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from glintrack.core.arrays import Array
-from glintrack.core.designs import Design
+from glintrack.core.designs import Design, refuse_ignored
 from glintrack.core.distortion import Distortion
 from glintrack.core.installation import data_file, read_data
 from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, check_band
@@ -18,6 +18,12 @@ from glintrack.sensor.catalogue import read_catalogue
 from glintrack.sensor.layouts import MIRROR, Demosaicker, Superpixel, check_demosaicker, places, superpixel
 
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
+_OF_CONSTANT_POLARIZER = ("polarizer_transmittance", "polarizer_extinction_ratio")
+# choice and its values that use some keys; these keys
+_USES = {
+    ("polarizer", ("constant",)): _OF_CONSTANT_POLARIZER,
+    ("auto_exposure.quantile", ()): ["auto_exposure.longest_ms"],
+}
 Rms = Annotated[float, Field(ge=-1e4, le=1e4)]
 Wavelength = Annotated[
     float, Field(json_schema_extra={"minimum": MIN_WAVELENGTH_UM, "maximum": MAX_WAVELENGTH_UM})
@@ -183,6 +189,8 @@ class SensorDesign(Design):
         base = design_keys(str(values["ready"]))
         if values.get("pitch_um", base.get("pitch_um")) != base.get("pitch_um"):
             base = {key: v for key, v in base.items() if key not in derive.ORIGINS}  # those of another pitch
+        if values.get("polarizer", "constant") != "constant":
+            base = {key: v for key, v in base.items() if key not in _OF_CONSTANT_POLARIZER}
         both = {**base, **values}
         if isinstance(base.get("optics"), dict) and isinstance(values.get("optics"), dict):
             both["optics"] = {**base["optics"], **values["optics"]}
@@ -197,6 +205,7 @@ class SensorDesign(Design):
                     f"`sensor.{name}` must be {'even' if side == 2 else f'a multiple of {side}'} "
                     f"({side}×{side} superpixels); got {getattr(self, name)}."
                 )
+        refuse_ignored(self, _USES)
         check_demosaicker(self.demosaic, self.superpixel)
         check_band("sensor.band_um", *self.band_um)
         check_band("sensor.spectrometer_um", *self.spectrometer_um)

@@ -5,12 +5,12 @@ All times are in seconds, so that they mean the same at any frame rate.
 
 import math
 from dataclasses import dataclass
-from operator import attrgetter
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from glintrack.core.designs import Design
+from glintrack.core.designs import Design, refuse_ignored
+from glintrack.core.installation import read_data
 from glintrack.track.calibration import read_calibration
 
 # Initiation with existence reporting: generous, since reporting decides.
@@ -19,12 +19,16 @@ _CONFIRMATION_KEYS = (
     "rules", "confirm_score", "confirm_hits", "confirm_window", "confirm_min_age_s", "confirm_travel_m",
     "confirm_speed_m_s", "confirm_ratio",
 )  # fmt: skip
-# value of a key; value that uses the keys which it ignores; these keys
-_IGNORED_KEYS = {
-    ("reporting.method", "existence"): ("confirmation", [f"initiation.{key}" for key in _CONFIRMATION_KEYS]),
-    ("reporting.method", "confirmation"): ("existence", ["reporting.max_false_share", "reporting.lag_s"]),
-    ("detect.detector", "mosaic"): ("median-motion", ["detect.dolp_boost", "detect.dolp_threshold"]),
-}
+# choice and its values that use some keys; these keys
+_USES = {
+    ("reporting.method", ("confirmation",)): [f"initiation.{key}" for key in _CONFIRMATION_KEYS],
+    ("reporting.method", ("existence",)): ["reporting.max_false_share", "reporting.lag_s"],
+    ("detect.detector", ("median-motion", "auto")): ["detect.dolp_boost", "detect.dolp_threshold"],
+    ("motion.model", ("imm",)): [
+        "motion.straight_s", "motion.stopped_detection_probability", "motion.braking_m_s2",
+    ],
+    ("association.method", ("mht",)): ["association.scans"],
+}  # fmt: skip
 
 
 WARM_UP, WARM_UP_S = 2, 0.75  # frames and time in which `mosaic` learns the background
@@ -241,15 +245,8 @@ class TrackDesign(Design):
 
     @model_validator(mode="after")
     def _no_ignored_keys(self) -> Self:
-        for (choice, value), (other, keys) in _IGNORED_KEYS.items():
-            for name in keys if attrgetter(choice)(self) == value else ():
-                table, _, key = name.partition(".")
-                found, default = attrgetter(name)(self), type(getattr(self, table)).model_fields[key].default
-                if found not in (default, EXISTENCE_INITIATION.get(key)):
-                    raise ValueError(
-                        f"`{name}` must be left out with {choice} = {value!r}, which ignores it; "
-                        f"got {found!r}. {choice} = {other!r} uses it."
-                    )
+        preset = {f"initiation.{key}": value for key, value in EXISTENCE_INITIATION.items()}
+        refuse_ignored(self, _USES, {**read_data("tracking.toml")["detections"], **preset})
         return self
 
     def count_learning_frames(self, rate_hz: float) -> int:
