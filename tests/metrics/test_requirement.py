@@ -97,3 +97,18 @@ def test_a_flight_of_few_frames_or_seconds_decides_nothing(frames, rate_hz, deci
     found = assess_flight(Requirement("completeness", True, 0.5), epochs)
     assert found.value == pytest.approx(2 / 3)
     assert found.answer == ("yes" if decides else "undecided")
+
+
+def test_the_interval_of_a_total_is_that_of_the_sum_of_its_parts():
+    """Each sixth of the flight begins and ends under track 1, and changes between tracks 1 and 2 within."""
+    switches = np.array([4, 6, 8, 4, 6, 2])
+    held = np.concatenate([np.pad([2, 1] * (n // 2), (1, 19 - n), constant_values=1) for n in switches])
+    ids, yes = np.array([3]), np.ones(1, bool)
+    vehicles = Vehicles(ids, np.zeros((1, 2)), yes, yes, yes)
+    epochs = [
+        match_epoch(np.array([t]), np.zeros((1, 2)), vehicles, 5.0, k / 2, KM2) for k, t in enumerate(held)
+    ]
+    found = assess_flight(Requirement("identity_switches", False, 100), epochs)
+    assert found.value == 30
+    reach = stats.t.ppf(0.975, 5) * np.sqrt(6) * switches.std(ddof=1)
+    assert (found.low, found.high) == pytest.approx((30 - reach, 30 + reach))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from glintrack import score
 from glintrack.metrics import score_rows
 
 
@@ -42,3 +43,29 @@ def test_a_track_beyond_the_box_on_a_vehicle_at_its_edge_counts():
     off = tracks.assign(north_m=tracks["north_m"] + np.where(tracks["track_id"] == 0, -1.2, 0.2))
     scores = score_rows(off, truth)
     assert scores["mota"] == pytest.approx(0.9) and scores["completeness"] == pytest.approx(0.9)
+
+
+def still(places, name, speed=0.0, times=10):
+    """The same places at each time."""
+    time_s, k = (
+        grid.ravel() for grid in np.meshgrid(np.arange(times) / 2, np.arange(len(places)), indexing="ij")
+    )
+    east, north = np.asarray(places, float)[k].T
+    columns = {"time_s": time_s, name: k, "east_m": east, "north_m": north}
+    columns |= {"east_speed_m_s": np.full(len(k), speed), "north_speed_m_s": np.zeros(len(k))}
+    return xr.Dataset({key: ("row", values) for key, values in columns.items()})
+
+
+@pytest.mark.parametrize("speed", [0.0, 5.0])
+def test_tracks_just_beyond_the_outermost_vehicles_are_on_them(speed):
+    corners = np.array([[0, 0], [0, 90], [90, 0], [90, 90]], float)
+    outward = corners + 0.5 * np.sign(corners - 45)
+    scores = score_rows(still(outward, "track_id"), still(corners, "vehicle_id", speed))
+    assert scores["mota"] == scores["idf1"] == 1
+    assert scores["ospa_m"] == pytest.approx(0.5**0.5)
+
+
+def test_tracks_outside_a_users_area_are_not_false():
+    car, clutter = [[50.0, 50.0]], [[500.0 + 20 * k, 500.0] for k in range(50)]
+    scores = score(still(car + clutter, "track_id"), still(car, "vehicle_id", 5.0), (0.0, 0.0, 100.0, 100.0))
+    assert scores["false_per_km2"] == 0 and scores["idf1_moving"] == 1

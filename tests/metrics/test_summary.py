@@ -112,3 +112,15 @@ def test_times_nobody_told_say_nothing_of_time():
     silent = [metrics.score_epoch(tracks((7, 0, 0)), truth((1, 0, 0, FAST)), AREA) for _ in range(3)]
     scores = metrics.summarize(silent)
     assert scores["custody"] == 1.0 and np.isnan(scores["same_track_after_10s"])
+
+
+def test_a_track_that_is_held_through_a_stop_is_lost_at_its_end():
+    """Track 7 drives to 10 s and stands to 40 s; then track 8 takes over, to 60 s and not lost."""
+    held, speeds = [7] * 41 + [8] * 20, [FAST] * 11 + [STOPPED] * 30 + [FAST] * 20
+    assert metrics.median_time_to_loss(flight(held, speeds)) == pytest.approx(41.0)
+
+
+@pytest.mark.parametrize("rate_hz", [2.0, 2.7183, 3.333, 12.37])
+def test_the_same_track_later_at_any_frame_rate(rate_hz):
+    held = flight([7] * int(40 * rate_hz), step_s=1 / rate_hz)
+    assert metrics.same_track_after(held) == 1.0

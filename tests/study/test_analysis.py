@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from glintrack.study import StudyDesign
-from glintrack.study.analysis import effects, froc, pareto_front, sobol_indices
+from glintrack.study.analysis import effects, froc, pareto_front, point_scores, sobol_indices
 from glintrack.study.comparisons import DOLP_LESS_PAN, contrast_scores
 from glintrack.study.design import build_axes, unit_points
 from glintrack.study.intervals import Units, units
@@ -40,6 +40,36 @@ def test_what_rounding_leaves_of_an_effect_is_nought():
     points = pd.DataFrame([(a,) for a in ("low", "high")], columns=["a"])
     found = effects(Units(points, np.array([[0.1 + 0.2, 0.3, 0.7], [0.3, 0.1 + 0.2, 0.7]])), rng())
     assert found["effect"].tolist() == [0.0]
+
+
+@pytest.mark.parametrize("units_of_each", [3, 9])
+def test_a_flight_that_failed_leaves_the_others_paired(units_of_each):
+    """Cities differ by far more than the designs; the last city of the second design failed."""
+    city, gain = np.linspace(0.2, 0.9, units_of_each), 0.02 + 0.001 * np.arange(units_of_each)
+    values = np.stack([city, city + gain])
+    values[1, -1] = np.nan
+    found = effects(Units(pd.DataFrame({"a": ["old", "new"]}), values), rng()).iloc[0]
+    assert found["effect"] == pytest.approx(gain[:-1].mean())
+    assert 0 < found["low"] < found["effect"] < found["high"] < 0.04
+
+
+@pytest.mark.parametrize("units_of_each", [3, 9])
+def test_a_design_without_a_score_leaves_the_effects_of_the_others(units_of_each):
+    noise = rng().normal(0, 0.01, (3, units_of_each))
+    values = np.array([[0.6], [0.8], [np.nan]]) + noise
+    found = effects(Units(pd.DataFrame({"a": ["one", "two", "none"]}), values), rng())
+    assert found["level"].tolist() == ["two against one"]
+    assert found["low"][0] < 0.2 < found["high"][0]
+
+
+def test_the_first_design_is_the_base_also_if_it_failed():
+    rows = [
+        {"point": k, "replicate": 0, "channel": "pan", "a": a, "b": b, "over_time": "{}", "custody": 0.5,
+         "status": "failed" if k == 0 else "finished"}
+        for k, (a, b) in enumerate([(1, 1), (2, 1), (1, 2)])
+    ]  # fmt: skip
+    found = point_scores(pd.DataFrame(rows), ["a", "b"], "custody", "pan", rng())
+    assert found["point"].tolist() == ["a = 2", "b = 2"]
 
 
 def test_interactions_are_found_where_there_are_some():
@@ -100,6 +130,17 @@ def test_sobol_indices_of_a_function_with_known_ones():
     assert (
         (found["total_low"] < [0.558, 0.442, 0.244]) & (found["total_high"] > [0.558, 0.442, 0.244])
     ).all()
+
+
+@pytest.mark.parametrize("level", [0.0, 200.0])
+def test_sobol_indices_do_not_depend_on_a_constant(level):
+    x = np.random.default_rng(3).random((64, 6))
+    a, b = x[:, :3], x[:, 3:]
+    points = [a, b, *(np.where(np.arange(3) == k, b, a) for k in range(3))]
+    score = level + np.stack([p @ [10.0, 5.0, 2.0] for p in points], axis=1).ravel()
+    found = sobol_indices(Units(pd.DataFrame(index=range(len(score))), score[:, None]), list("abc"), rng())
+    np.testing.assert_allclose(found["first"], np.array([100, 25, 4]) / 129, atol=0.15)
+    assert (found["first_high"] - found["first_low"]).max() < 1
 
 
 def test_pareto_front_by_hand():

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from glintrack.study import read_plan
-from glintrack.study.plan import design_notes
+from glintrack.study.design import Axis, Range
+from glintrack.study.plan import design_notes, without_paths
 from tests.study.cases import TWELVE, write_study
 
 
@@ -105,6 +106,24 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
     assert list(here.cases) == list(there.cases)
     (tmp_path / "b" / "r.csv").write_text("wavelength_um,response\n0.4,1\n1.0,0.5\n")
     assert list(plan(tmp_path / "b", text).cases) != list(here.cases)
+
+
+def test_a_file_that_a_file_names_counts_too(tmp_path):
+    (tmp_path / "m").mkdir()
+    table = tmp_path / "m" / "materials.toml"
+    table.write_text('[materials.lilac]\nfile = "lilac.csv"\n')
+    spectrum = table.with_name("lilac.csv")
+    spectrum.write_text("wavelength_um,reflectance\n0.4,0.05\n2.5,0.05\n")
+    dark = without_paths({"scene": {"materials_file": str(table)}})
+    spectrum.write_text("wavelength_um,reflectance\n0.4,0.9\n2.5,0.9\n")
+    assert without_paths({"scene": {"materials_file": str(table)}}) != dark
+
+
+def test_whole_numbers_are_even_in_the_logarithm():
+    axis = Axis(
+        "track.query.budget", span=Range.model_validate({"from": 1, "to": 1000, "log": True, "integer": True})
+    )
+    assert [axis.at(place)[0] for place in (0.0, 0.25, 0.5, 0.75, 1.0)] == [1, 6, 32, 178, 1000]
 
 
 @pytest.mark.parametrize(

@@ -215,10 +215,13 @@ class DetectorStatistics:
     def of(cls, truths: list[FrameTruth], frames: list[FrameTracking]) -> "DetectorStatistics | None":
         """Statistics over visible movers, with offsets about their mean; None with too few detections."""
         pairs = list(zip(truths, frames, strict=True))
-        offset = np.concatenate([f.offset[np.isin(f.found, s.vehicle[s.counted])] for s, f in pairs])
+        while pairs and not (len(pairs[0][1].found) or len(pairs[0][1].false)):
+            pairs.pop(0)  # the background is learnt
+        offset = [f.offset[np.isin(f.found, s.vehicle[s.counted])] for s, f in pairs]
+        offset = np.concatenate([np.zeros((0, 2)), *offset])
         if len(offset) < _MIN_DETECTIONS:
             return None
-        counted = sum(int(s.counted.sum()) for s in truths)
+        counted = sum(int(s.counted.sum()) for s, _ in pairs)
         clutter = 1e-6 * np.nanmean([len(f.false) / metrics.area_km2(s.area) for s, f in pairs])
         return cls(len(offset) / counted, np.cov(offset.T), float(clutter))
 
@@ -327,6 +330,8 @@ def _body_information(frames: list[FrameBudget], truths: list[FrameTruth], ids: 
     total, visible = np.zeros((len(ids), 2, 2)), np.zeros(len(ids))
     at = {s.time_s: s for s in truths}
     for frame in frames:
+        if not frame.information.any():  # was not measured: only some frames have positions
+            continue
         seen = at[frame.time_s]
         order = np.argsort(seen.vehicle)
         mine = order[np.searchsorted(seen.vehicle[order], frame.vehicles["vehicle_id"])]

@@ -26,6 +26,7 @@ CONFIDENCE = 0.95
 MAX_FLIGHTS = 1000
 SHARES = ("completeness", "completeness_with_stopped", "completeness_visible", "custody", "purity",
           "idf1_moving", "same_track_after_10s", "same_track_after_stop")  # fmt: skip
+_TOTALS = ("identity_switches",)  # that grow with the flight
 _TEXT = re.compile(r"\s*(?:(?P<channel>\w+)\.)?(?P<score>\w+)\s*(?P<sign><=|>=|<|>)\s*(?P<limit>\S+)\s*")
 
 
@@ -133,7 +134,8 @@ def assess_flight(requirement: Requirement, epochs: Sequence[EpochScore]) -> Ass
 
     def score(selected: Sequence[int]) -> float:
         chosen = [epochs[k] for number in selected for k in parts[number]]
-        return summarize(chosen)[requirement.score]
+        scale = PARTS / len(selected) if requirement.score in _TOTALS else 1.0
+        return scale * summarize(chosen)[requirement.score]
 
     return assess(requirement, *jackknife(score, len(parts)))
 

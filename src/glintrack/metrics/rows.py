@@ -73,7 +73,8 @@ def score_rows(
     alike, distances = [], []
     for track_rows, vehicle_rows, score in zip(of_tracks, of_vehicles, scores, strict=True):
         inside = contains(area_of(score.time_s), track_m[track_rows])
-        own = inside | score.valid  # a track beyond the edge may be on a vehicle at it
+        # a track beyond the edge may be on a vehicle at it
+        own = inside | np.isin(score.matched_vehicle, score.vehicle_ids[score.inside])
         t, v = track_rows[own], vehicle_rows[score.inside]
         alike.append(point_similarity(vehicles[v], vehicle_m[v], found[t], track_m[t], match_distance_m))
         distances.append((ospa(vehicle_m[v], track_m[t]), gospa(vehicle_m[v], track_m[t])))

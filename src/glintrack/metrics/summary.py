@@ -160,12 +160,13 @@ def median_time_to_loss(epochs: Sequence[EpochScore]) -> float:
     last: dict[tuple[int, int], int] = {}
     here: dict[int, int] = {}  # last epoch at which a vehicle should be tracked
     for k, epoch in enumerate(epochs):
-        for vehicle, track in zip(
-            epoch.vehicle_ids[epoch.should].tolist(), epoch.matched_track[epoch.should].tolist(), strict=True
-        ):
-            here[vehicle] = k
-            if track >= 0:
-                first.setdefault((vehicle, track), k)
+        columns = epoch.vehicle_ids, epoch.matched_track, epoch.should
+        for vehicle, track, should in zip(*(column.tolist() for column in columns), strict=True):
+            if should:
+                here[vehicle] = k
+                if track >= 0:
+                    first.setdefault((vehicle, track), k)
+            if (vehicle, track) in first:  # also while it stands
                 last[vehicle, track] = k
     times = [epoch.time_s for epoch in epochs]
     durations_s, lost = [], []
@@ -184,15 +185,17 @@ def median_time_to_loss(epochs: Sequence[EpochScore]) -> float:
 def same_track_after(epochs: Sequence[EpochScore], delay_s: float = DELAY_S) -> float:
     """Probability that a visible vehicle with a track has the same track later; NaN without data. [1]
 
-    Counted over all pairs of epochs with this delay at which the vehicle is visible.
+    Counted over all pairs of epochs with this delay, to half a frame, at which the vehicle is visible.
     """
     times = np.array([epoch.time_s for epoch in epochs])
+    near_s = max(float(np.median(np.diff(times))) / 2 if len(times) > 1 else 0.0, _SAME_TIME_S)
     same = pairs = 0
     for epoch in epochs:
-        later = np.flatnonzero(np.abs(times - epoch.time_s - delay_s) <= _SAME_TIME_S)
-        if not later.size:
+        apart = np.abs(times - epoch.time_s - delay_s)
+        later = int(apart.argmin())
+        if not apart[later] <= near_s:  # also without times
             continue
-        then = _visible_matches(epochs[later[0]])
+        then = _visible_matches(epochs[later])
         for vehicle, track in _visible_matches(epoch).items():
             if track >= 0 and vehicle in then:
                 pairs += 1

@@ -9,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import shapely
 import xarray as xr
 from rich.console import Console
 
@@ -248,7 +249,8 @@ def score(
         CSV files with ``time_s``, ``track_id`` or ``vehicle_id``, ``east_m``, ``north_m``, or their rows, as
         ``load_result(…)["pan/tracks"].to_dataset()``.
     area_m
-        West, south, east, north; vehicles outside do not count. By default as for `metrics.score_rows`. [m]
+        West, south, east, north; vehicles and tracks outside do not count. By default as for
+        `metrics.score_rows`. [m]
     match_distance_m, moving_speed_m_s
         Maximum distance of a track from its vehicle, and minimum speed of scored vehicles. [m, m s⁻¹]
     rate_hz, grid
@@ -256,7 +258,8 @@ def score(
     """
     rows = tracks if isinstance(tracks, xr.Dataset) else read_tracks(Path(tracks), rate_hz, grid)
     known = truth if isinstance(truth, xr.Dataset) else read_truth(Path(truth), rate_hz, grid)
-    return metrics.score_rows(rows, known, area_m, match_distance_m, moving_speed_m_s)
+    area = None if area_m is None else shapely.box(*area_m)  # tracks beyond it are not false, as in a polygon
+    return metrics.score_rows(rows, known, area, match_distance_m, moving_speed_m_s)
 
 
 KERNELS = 400  # that the warm-up compiles, about

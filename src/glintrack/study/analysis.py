@@ -55,17 +55,19 @@ def effects(found: Units, rng: np.random.Generator, interactions: bool = False) 
     fit; empty if the design does not determine them. In a full factorial these are the differences of
     marginal means, in a one-at-a-time design those from the base.
     """
-    regressors = _regressors(found.points)
+    scored = np.isfinite(found.values).any(axis=1)
+    points, values = found.points[scored], found.values[scored]
+    regressors = _regressors(points)
     if interactions:
         regressors += [
             _Regressor(f"{a.axis} × {b.axis}", f"{a.level} and {b.level}", a.column * b.column)
             for a, b in itertools.combinations(regressors, 2)
             if a.axis != b.axis
         ]
-    design = np.column_stack([np.ones(len(found.points)), *(one.column for one in regressors)])
+    design = np.column_stack([np.ones(len(points)), *(one.column for one in regressors)])
     if not regressors or np.linalg.matrix_rank(design) < design.shape[1]:
         return pd.DataFrame(columns=["axis", "level", "effect", "low", "high", "p_max_t"])
-    of = estimate(np.linalg.pinv(design)[1:], found.values, rng)
+    of = estimate(np.linalg.pinv(design)[1:], values, rng)
     named = pd.DataFrame([(one.axis, one.level) for one in regressors], columns=["axis", "level"])
     return named.join(of.to_frame())
 
@@ -131,6 +133,7 @@ def sobol_indices(found: Units, axes: Sequence[str], rng: np.random.Generator) -
         raise ValueError(f"`study` must have all its points finished for Sobol indices; got {len(y)}.")
     y = y.reshape(-1, width)
     y = y[np.isfinite(y).all(axis=1)]
+    y = y - y[:, :2].mean()  # the estimators' error grows with the mean
     draws = np.concatenate([np.arange(len(y))[None], rng.integers(0, len(y), (DRAWS, len(y)))])
     first, total = [], []
     for k in range(len(axes)):
@@ -166,15 +169,17 @@ def point_scores(
     """
     found = units(table, axes, response, channel)
     of = estimate(np.eye(len(found.points)), found.values, rng)
-    return pd.DataFrame({"point": labels(found.points), "score": of.value, "low": of.low, "high": of.high})
+    names = labels(found.points, table.sort_values("point")[list(axes)])
+    return pd.DataFrame({"point": names, "score": of.value, "low": of.low, "high": of.high})
 
 
-def labels(points: pd.DataFrame) -> list[str]:
-    """Label of each point: its differences from the first one, ``base``, or the level of a single axis."""
+def labels(points: pd.DataFrame, all_points: pd.DataFrame | None = None) -> list[str]:
+    """Label of each point: the level of a single axis, or its differences from the first of all, ``base``."""
     rows = points.to_dict("records")
+    first = (points if all_points is None else all_points).head(1).to_dict("records")
     if points.shape[1] == 1:  # one axis, or the labels of a list
         return [str(next(iter(row.values()))) for row in rows]
-    changes = [", ".join(f"{k} = {v}" for k, v in row.items() if v != rows[0][k]) for row in rows]
+    changes = [", ".join(f"{k} = {v}" for k, v in row.items() if v != first[0][k]) for row in rows]
     return [label or "base" for label in changes]
 
 

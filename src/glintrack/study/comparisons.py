@@ -74,7 +74,7 @@ def contrast_scores(
     Returns
     -------
     ``point`` (its label), ``effect``, ``low``, ``high``, ``p_max_t``; the last row, ``all``, is the mean over
-    points, and the only one of a single point. Empty where either side has no finished case.
+    points with a score, and the only one of a single point. Empty where either side has no finished case.
     """
     left = [axis for axis in axes if axis not in contrast.of]
     of = _side(table, left, response, dict(contrast.of))
@@ -83,10 +83,12 @@ def contrast_scores(
     if not common:
         return pd.DataFrame()
     difference = np.stack([of[key] - against[key] for key in common])
-    mean = np.full((1, len(common)), 1 / len(common))
+    scored = np.isfinite(difference).any(axis=1)
+    mean = (scored / max(scored.sum(), 1))[None]
     each = len(common) > 1  # one point is its own mean
     found = estimate(np.vstack([np.eye(len(common)), mean]) if each else mean, difference, rng)
-    names = [*labels(pd.DataFrame(common, columns=left)), "all"] if each else ["all"]
+    base = table.sort_values("point")[left]
+    names = [*labels(pd.DataFrame(common, columns=left), base), "all"] if each else ["all"]
     return pd.DataFrame({"point": names}).join(found.to_frame())
 
 
@@ -156,10 +158,13 @@ def rank_agreement(
         of = units(table[table[under] == level], others, response, channel)
         found[level] = dict(zip(map(tuple, of.points.astype(object).to_numpy()), of.values, strict=True))
     for (first, a), (second, b) in itertools.combinations(found.items(), 2):
-        common = [key for key in a if key in b]
+        common = [key for key in a if key in b and np.isfinite(a[key] + b[key]).any()]
         if len(common) < MIN_RANKED_DESIGNS:
             continue
         values = np.concatenate([[a[key] for key in common], [b[key] for key in common]])
+        values = values[:, np.isfinite(values).all(axis=0)]  # units that all designs share
+        if not values.size:
+            continue
         tau = _agreement(mean_draws(values, rng))
         low, high = interval(tau[1:]) if len(tau) > 1 else _jackknife_interval(values)
         designs = {"under": under, "first": str(first), "second": str(second), "designs": len(common)}
@@ -175,12 +180,11 @@ def _agreement(means: Float[Array, "draw point"]) -> Float[Array, "draw"]:
 
 def _jackknife_interval(values: Float[Array, "point unit"]) -> tuple[float, float]:
     """Student's interval of τ from the jackknife, for few units; NaN for a single unit."""
-    values = values[:, np.isfinite(values).any(axis=0)]
     if values.shape[1] < 2:
         return np.nan, np.nan
 
     def tau(chosen: Sequence[int]) -> float:
-        return float(_agreement(np.nanmean(values[:, list(chosen)], axis=1)[None])[0])
+        return float(_agreement(values[:, list(chosen)].mean(axis=1)[None])[0])
 
     _, low, high = jackknife(tau, values.shape[1])
     return max(low, -1.0), min(high, 1.0)
@@ -220,10 +224,10 @@ def aa_test(
     """
     if table["replicate"].nunique() < FEW_UNITS:
         return pd.DataFrame()
-    designs = []
+    designs, base = [], table.sort_values("point")[list(axes)]
     for channel in channels:
         found = units(table, axes, response, channel)
-        for name, score in zip(labels(found.points), found.values, strict=True):
+        for name, score in zip(labels(found.points, base), found.values, strict=True):
             if np.isfinite(score).sum() >= FEW_UNITS:
                 designs.append(({"channel": channel, "point": name}, score[np.isfinite(score)]))
     rows = []

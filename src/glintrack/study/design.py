@@ -211,8 +211,10 @@ class Axis:
             index = min(int(place * len(self.labels)), len(self.labels) - 1)
             return self.labels[index], self.keys[index]
         low, high = self.span.low, self.span.high
-        if self.span.integer:
-            value: float = min(int(low) + int(place * (int(high) - int(low) + 1)), int(high))
+        if self.span.integer and self.span.log:
+            value: float = round(low * (high / low) ** place)
+        elif self.span.integer:
+            value = min(int(low) + int(place * (int(high) - int(low) + 1)), int(high))
         elif self.span.log:
             value = low * (high / low) ** place
         else:

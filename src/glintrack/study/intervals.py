@@ -1,7 +1,8 @@
 """Intervals of a study: scores by point and unit, estimates and their significance.
 
 Every interval is over *units*, which all cases share: replicates if there are at least eight; else, for
-scores over time, equal blocks of the flight. Cases stay paired, as they see the same traffic at one time.
+scores over time, equal blocks of the flight. Cases stay paired, as they see the same traffic at one time: an
+estimate takes only the units in which each of its cases has a score.
 Intervals are expanded percentiles of a bootstrap [Hesterberg 2015], of Student's width for normal scores;
 with fewer than eight units Student's own. Successive blocks are correlated, so that intervals from a single
 flight are too narrow.
@@ -15,14 +16,13 @@ Hesterberg, Am. Stat. 69, 371 (2015). Westfall and Young, Resampling-Based Multi
 """
 
 import json
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import stats
 
 from glintrack.core.arrays import Array
@@ -67,7 +67,7 @@ def units(table: pd.DataFrame, axes: Sequence[str], response: str, channel: str)
     ):
         series = json.loads(text).get(response)
         parts = np.array([mean], dtype=float)
-        if series:
+        if series and len(replicates) < FEW_UNITS:  # else whole flights: blocks are not independent
             series = np.array(series, dtype=float)
             split = np.array_split(series, min(PARTS, len(series)))
             parts = np.array([np.nanmean(p) if np.isfinite(p).any() else np.nan for p in split])
@@ -76,10 +76,6 @@ def units(table: pd.DataFrame, axes: Sequence[str], response: str, channel: str)
     values = np.full((len(points), len(replicates), width), np.nan)
     for (k, r), parts in blocks.items():
         values[k, r, : len(parts)] = parts
-    if len(replicates) >= FEW_UNITS:  # whole flights are drawn: their blocks are not independent
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # a replicate without any score stays NaN
-            values = np.nanmean(values, axis=2, keepdims=True)
     return Units(points.reset_index(drop=True), values.reshape(len(points), -1))
 
 
@@ -121,24 +117,23 @@ def estimate(
     rng
         Random generator of the bootstrap.
     """
-    if values.shape[1] >= FEW_UNITS:
-        drawn, count = mean_draws(values, rng) @ fit.T, values.shape[1]
+    used = np.abs(fit) > _ROUNDING * np.abs(fit).max(axis=1, keepdims=True)
+    missing = used.astype(float) @ ~np.isfinite(values) > 0
+    each = np.where(missing, np.nan, np.where(used, fit, 0.0) @ np.nan_to_num(values))
+    count = (~missing).sum(axis=1)
+    drawn = mean_draws(each, rng)
+    middle = _round_to_zero(drawn[0], values)
+    if len(drawn) > 1:
         of = interval(drawn[1:], count)
-        return Estimates(_round_to_zero(drawn[0], values), *of, _p_max_t(drawn[0], drawn[1:], count))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a point without any score stays NaN
-        middle = _round_to_zero(fit @ np.nanmean(values, axis=1), values)
-    each = fit @ values[:, np.isfinite(values).all(axis=0)]
-    count = each.shape[1]
-    if count < 2:
-        none = np.full(len(middle), np.nan)
-        return Estimates(middle, none, none, none)
-    spread = each.std(axis=1, ddof=1) / math.sqrt(count)
-    differs = spread > _ROUNDING * np.maximum(np.abs(middle), 1)
-    spread = np.where(differs, spread, np.nan)
-    reach = stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1) * spread
-    # Bonferroni's bound: so few units give no joint distribution to draw from
-    p = np.minimum(2 * stats.t.sf(np.abs(middle) / spread, count - 1) * differs.sum(), 1)
+        return Estimates(middle, *of, _p_max_t(middle, drawn[1:], count))
+    with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
+        warnings.simplefilter("ignore", RuntimeWarning)  # of a single unit, or none
+        spread = np.nanstd(each, axis=1, ddof=1) / np.sqrt(count)
+        differs = spread > _ROUNDING * np.maximum(np.abs(middle), 1)
+        spread = np.where(differs, spread, np.nan)
+        reach = stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1) * spread
+        # Bonferroni's bound: so few units give no joint distribution to draw from
+        p = np.minimum(2 * stats.t.sf(np.abs(middle) / spread, count - 1) * differs.sum(), 1)
     return Estimates(middle, middle - reach, middle + reach, p)
 
 
@@ -149,19 +144,18 @@ def _round_to_zero(of: Float[Array, "out"], values: Float[Array, "point unit"]) 
 
 
 def mean_draws(values: Float[Array, "point unit"], rng: np.random.Generator) -> Float[Array, "draw point"]:
-    """Means over all units, then over each draw of a bootstrap, if there are enough units."""
-    count = values.shape[1]
-    if count < FEW_UNITS:
-        return np.nanmean(values, axis=1)[None]
-    drawn = rng.multinomial(count, np.full(count, 1 / count), DRAWS)
-    weights = np.concatenate([np.ones((1, count)), drawn])
+    """Means over all units, then over each draw of a bootstrap, if each point has enough units or none."""
     there = np.isfinite(values)
+    held = there.sum(axis=1)
+    count = values.shape[1]
+    weights = np.ones((1, count))
+    if held.any() and held[held > 0].min() >= FEW_UNITS:
+        weights = np.concatenate([weights, rng.multinomial(count, np.full(count, 1 / count), DRAWS)])
     total = weights @ there.T
-    with np.errstate(invalid="ignore"):
-        return (weights @ np.where(there, values, 0).T) / np.where(total > 0, total, np.nan)
+    return (weights @ np.where(there, values, 0).T) / np.where(total > 0, total, np.nan)
 
 
-def interval(draws: Float[Array, "draw *out"], count: int | None = None) -> tuple[Array, Array]:
+def interval(draws: Float[Array, "draw *out"], count: Int[Array, "out"] | None = None) -> tuple[Array, Array]:
     """Percentile interval of draws; NaN where they do not differ.
 
     Parameters
@@ -169,18 +163,22 @@ def interval(draws: Float[Array, "draw *out"], count: int | None = None) -> tupl
     draws
         Draws of a bootstrap.
     count
-        Number of units, to expand the interval to Student's width; else plain percentiles.
+        Number of units of each, to expand its interval to Student's width; else plain percentiles.
     """
     tail = (1 - CONFIDENCE) / 2
-    if count is not None:
-        tail = stats.norm.sf(math.sqrt(count / (count - 1)) * stats.t.isf(tail, count - 1))
-    with np.errstate(invalid="ignore"):
-        low, high = np.nanquantile(draws, [tail, 1 - tail], axis=0)
+    with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
+        warnings.simplefilter("ignore", RuntimeWarning)  # of an estimate without any draw
+        if count is None:
+            low, high = np.nanquantile(draws, [tail, 1 - tail], axis=0)
+        else:
+            wide = stats.norm.sf(np.sqrt(count / (count - 1)) * stats.t.isf(tail, count - 1))
+            ends = [np.nanquantile(d, [t, 1 - t]) for d, t in zip(draws.T, np.nan_to_num(wide), strict=True)]
+            low, high = np.array(ends).T
     same = ~(high - low > _ROUNDING * np.maximum(np.abs(high), 1))
     return np.where(same, np.nan, low), np.where(same, np.nan, high)
 
 
-def _p_max_t(value: Float[Array, "out"], draws: Float[Array, "draw out"], count: int) -> Array:
+def _p_max_t(value: Float[Array, "out"], draws: Float[Array, "draw out"], count: Int[Array, "out"]) -> Array:
     """Share of draws with a largest deviate about the estimates beyond that of each estimate about zero.
 
     The estimate's t is Student's: it is converted to the normal deviate of the same tail.
@@ -189,9 +187,9 @@ def _p_max_t(value: Float[Array, "out"], draws: Float[Array, "draw out"], count:
         warnings.simplefilter("ignore", RuntimeWarning)  # of an estimate without any draw
         spread = np.nanstd(draws, axis=0, ddof=1)
     spread = np.where(spread > _ROUNDING * np.maximum(np.abs(value), 1), spread, np.nan)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
         largest = np.nan_to_num(np.abs(draws - value) / spread).max(axis=1)
-    t = np.abs(value) / (spread * math.sqrt(count / (count - 1)))
+        t = np.abs(value) / (spread * np.sqrt(count / (count - 1)))
     deviate = stats.norm.isf(stats.t.sf(t, count - 1))
     reached = (largest[:, None] >= deviate[None]).sum(axis=0)
     return np.where(np.isfinite(t), (1 + reached) / (1 + len(draws)), np.nan)

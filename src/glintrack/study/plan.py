@@ -2,7 +2,9 @@
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -28,6 +30,7 @@ FORMAT = 1  # of a study's folder, for older programs
 FIELD_KEYS = ("sensor.pitch_um", "sensor.focal_length_mm")  # of the field of view
 MAX_JUDGED = 20  # designs of a study
 DECIDE_SCORES = ("embreex", "eclipse-sumo", "sasktran2")
+_MAX_NAME = 4096  # characters
 _PACKAGE = Path(__file__).parents[1]
 # parts that show results or run cases, and do not influence scores
 _SHOWS_ONLY = ("cli", "results/figures", "report", "study", "data/cases", "data/page")
@@ -300,14 +303,40 @@ def case_key(case: Case) -> str:
 
 
 def without_paths(value: Any) -> Any:
-    """Plain values with the content's hash in place of each file named by its whole path."""
+    """Plain values with hashes for each file named by its whole path, and for the files that it names."""
     if isinstance(value, dict):
         return {key: without_paths(v) for key, v in value.items()}
     if isinstance(value, list):
         return [without_paths(v) for v in value]
     if isinstance(value, str) and Path(value).is_absolute() and is_file(Path(value)):
-        return {"sha256": content_hash(Path(value).read_bytes())}
+        names = sorted(set(_named_files(Path(value))))
+        hashes = [content_hash(path.read_bytes()) for path in names]
+        own = {"sha256": content_hash(Path(value).read_bytes())}
+        return own | ({"named": hashes} if hashes else {})
     return value
+
+
+def _named_files(path: Path) -> Iterator[Path]:
+    """Files that a table of materials (TOML) or a mesh (glTF, OBJ) names, such as spectra and buffers."""
+    values: Any = {}
+    with suppress(ValueError):  # what cannot be read is refused where it is used
+        if path.suffix.lower() == ".toml":
+            values = tomllib.loads(path.read_text(encoding="utf-8"))
+        elif path.suffix.lower() == ".gltf":
+            values = json.loads(path.read_bytes())
+        elif path.suffix.lower() == ".obj":
+            lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+            values = [line.split(maxsplit=1)[-1].strip() for line in lines if line.startswith("mtllib")]
+    for text in _texts(values):
+        if len(text) < _MAX_NAME and is_file(path.parent / text):
+            yield path.parent / text
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from _texts(inner)
 
 
 @lru_cache(maxsize=1)
