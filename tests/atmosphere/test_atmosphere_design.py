@@ -83,3 +83,11 @@ def test_content_key_depends_on_the_cloud_only_where_there_is_one():
     assert AtmosphereDesign(cloud_base_m=2000.0).content_key() == AtmosphereDesign().content_key()
     low, high = (AtmosphereDesign(cloud_optical_depth=20.0, cloud_base_m=m) for m in (2000.0, 4000.0))
     assert low.content_key() != high.content_key() != AtmosphereDesign().content_key()
+
+
+def test_under_a_cloud_the_tables_end_at_its_base():
+    """Between a height below and one above it the air would be interpolated into the cloud."""
+    assert AtmosphereDesign().sensor_altitudes_m == (500, 1000, 2000, 3000, 5000, 10000)
+    assert AtmosphereDesign(cloud_optical_depth=20.0).sensor_altitudes_m == (500, 1000, 2000, 3000, 4000)
+    low = AtmosphereDesign(cloud_optical_depth=20.0, cloud_base_m=2000.0)
+    assert low.sensor_altitudes_m == (500, 1000, 2000)

@@ -100,7 +100,10 @@ def assemble_tables(
     sun_zenith, sun_azimuth = sun_direction(design)
     medium = build_medium(design, math.cos(sun_zenith))
     half_circle = np.radians(np.arange(0.0, 180.0 + AZIMUTH_STEP_DEG / 2, AZIMUTH_STEP_DEG))
-    zeniths, altitudes = (np.radians(ZENITH_DEG), np.radians(VIEW_ZENITH_DEG)), np.array(design.altitudes_m)
+    zeniths, altitudes = (
+        (np.radians(ZENITH_DEG), np.radians(VIEW_ZENITH_DEG)),
+        np.array(design.sensor_altitudes_m),
+    )
     directions = solve.Directions(math.cos(sun_zenith), *zeniths, half_circle, altitudes)
 
     def part(start: float, share: float) -> Callable[[float], None]:
@@ -124,7 +127,9 @@ def assemble_tables(
     sky = replace(sky, spectrum=sky.spectrum * (sun_top * absorbed.diffuse / light.diffuse))
     path_factors = replace(path_factors, spectrum=path_factors.spectrum * sun_top)
     d, amounts = replace(directions, azimuth=azimuth), gas.gas_amounts(design.water_cm)
-    gases = gas.path_transmittance(amounts, height, d.altitude_m, d.view_zenith, design.wavelength_um)
+    gases = gas.path_transmittance(
+        amounts, height, d.altitude_m, d.view_zenith, design.wavelength_um, d.cos_sun_zenith
+    )
     spectra = {
         "sun_irradiance": sun_top * (light.sun * np.exp(-sun_depth)),
         "sky_irradiance": sun_top * absorbed.diffuse,
@@ -259,12 +264,12 @@ def _dataset(
         "sky_irradiance": (flat, IRRADIANCE, "diffuse sky on level ground"),
         "spherical_albedo": (flat, "1", "of the atmosphere, for light from below"),
         "path_gas": (("altitude", "wavelength"), "1", "transmission of gases for the path to the altitude"),
-        "transmittance": (through_dims, "1", "from the ground to the sensor"),
+        "transmittance": (through_dims, "1", "of reflected sunlight from the ground to the sensor"),
     }
     look = "of the direction of look, clockwise from north"
     axes = {
         "wavelength": (design.wavelength_um, {"units": "um"}),
-        "altitude": (np.array(design.altitudes_m), {"units": "m"}),
+        "altitude": (d.altitude_m, {"units": "m"}),
         "zenith": (d.zenith, {"units": "rad"}),
         "view_zenith": (d.view_zenith, {"units": "rad", "long_name": "from nadir"}),
         "azimuth": (d.azimuth, {"units": "rad", "long_name": look}),

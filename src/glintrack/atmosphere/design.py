@@ -14,7 +14,7 @@ from glintrack.core.designs import Design
 from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, check_wavelengths, wavelength_grid
 from glintrack.io.atomic import content_hash
 
-FORMAT_VERSION = 3  # of the solved tables: raise it whenever the same design would give other numbers
+FORMAT_VERSION = 4  # of the solved tables: raise it whenever the same design would give other numbers
 HIGHEST_SUN_ZENITH_DEG = 80.0
 LOWEST_SENSOR_M, HIGHEST_SENSOR_M = 500.0, 20_000.0
 GROUND_ALBEDO = 0.15
@@ -116,6 +116,13 @@ class AtmosphereDesign(Design):
         if self.wavelengths_um is not None:
             return check_wavelengths(self.wavelengths_um, "wavelengths_um")
         return wavelength_grid(MIN_WAVELENGTH_UM, self.wavelength_stop_um)
+
+    @property
+    def sensor_altitudes_m(self) -> tuple[float, ...]:
+        """Altitudes of the tables: up to the base of a cloud, which is one of them. [m]"""
+        if not self.cloud_optical_depth:
+            return self.altitudes_m
+        return (*(a for a in self.altitudes_m if a < self.cloud_base_m), self.cloud_base_m)
 
     @property
     def utc(self) -> datetime.datetime:

@@ -169,8 +169,12 @@ def path_transmittance(
     altitude_m: Float[Array, "altitude"],
     view_zenith: Float[Array, "view_zenith"],
     wavelength_um: Float[Array, "wavelength"],
+    cos_sun_zenith: float | None = None,
 ) -> Float[Array, "wavelength altitude view_zenith"]:
     """Transmittance of all gases from the ground to a sensor. [1]
+
+    Sunlight has lost the centres of the lines on its way to the ground: of a band of it more is left than of
+    a band of white light, T(sun and view) / T(sun).
 
     Parameters
     ----------
@@ -182,12 +186,18 @@ def path_transmittance(
         Of the sensor. [m]
     view_zenith
         Angle of the path from the vertical, at the ground. [rad]
+    cos_sun_zenith
+        Of the sun, for its light; white light by default. [1]
     """
     table, profiles = read_gases(), gas_profiles(height_m)
     slant = np.array([[slant_weights(math.cos(v), height_m, a) for v in view_zenith] for a in altitude_m])
-    paths = {gas: amounts[gas] * (slant @ profile) for gas, profile in profiles.items()}
-    depth = sum(gas_depth(table, gas, amount, wavelength_um) for gas, amount in paths.items())
-    return np.moveaxis(np.exp(-np.asarray(depth)), -1, 0)
+    before = np.zeros(height_m.size) if cos_sun_zenith is None else slant_weights(cos_sun_zenith, height_m)
+    depth = np.zeros((*slant.shape[:2], np.size(wavelength_um)))
+    for gas, profile in profiles.items():
+        down, up = np.asarray(amounts[gas] * (before @ profile)), amounts[gas] * (slant @ profile)
+        both, first = (gas_depth(table, gas, amount, wavelength_um) for amount in (down + up, down))
+        depth += both - first
+    return np.moveaxis(np.exp(-depth), -1, 0)
 
 
 def exponential_sum(

@@ -90,8 +90,9 @@ def full_electrons(sensor: Sensor) -> float:
 
 
 def vehicles_on(hits: Hits) -> Int[Array, "row column"]:
-    """Highest id of the vehicles that the rays of each element hit; −1 for none."""
-    return np.maximum.reduceat(hits.vehicle_id, hits.first[:-1]).reshape(hits.rows, hits.columns)
+    """Highest id of the moving vehicles that the rays of each element hit; −1 for none."""
+    highest = np.maximum.reduceat(hits.vehicle_id, hits.first[:-1]).reshape(hits.rows, hits.columns)
+    return np.maximum(highest, -1)
 
 
 def element_points(

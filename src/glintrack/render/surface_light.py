@@ -29,8 +29,7 @@ from glintrack.render.light.probes import (
 from glintrack.render.light.sky import PatchRays
 from glintrack.render.tracer import SunlitScene
 
-REACH_M = 3.0  # from a vehicle's sides: farther off a car hides little of the sky
-_RAYS = 24  # of a probe: those that bring level ground most light
+REACH = 3.0  # of a vehicle's heights from its sides: farther off it hides under 1 % of the sky
 _CELL_M = 8.0
 
 
@@ -39,6 +38,7 @@ class _Boxes(NamedTuple):
 
     low: Float[Array, "body 3"]
     high: Float[Array, "body 3"]
+    reach: Float[Array, "body"]
     axes: Float[Array, "body 3 3"]
     origin: Float[Array, "body 3"]
     corner: Float[Array, "2"]
@@ -56,8 +56,7 @@ def traffic_sky_factor(
     up = rays.patch >= 0
     direction = rays.direction[0, up].astype(float)
     bright = (rays.solid_angle * rays.brightness[0])[up].astype(float)
-    best = np.argsort(-bright * np.maximum(direction[:, 2], 0.1))[:_RAYS]
-    sky = direction[best], bright[best], rays.patch[up][best]
+    sky = direction, bright, rays.patch[up]
     over_rows(_fill_factor, len(out), seen, found.cell, table, _boxes(bodies), first, sky, out, least=1024)
     return out
 
@@ -65,7 +64,8 @@ def traffic_sky_factor(
 def _boxes(bodies: Bodies) -> _Boxes:
     turn, origin = bodies.transforms[:, :, :3], bodies.transforms[:, :, 3]
     low, high = bodies.boxes[:, 0], bodies.boxes[:, 1]
-    reach = np.linalg.norm(np.maximum(np.abs(low), np.abs(high))[:, :2], axis=1) + REACH_M
+    beside = REACH * (high[:, 2] - low[:, 2])
+    reach = np.linalg.norm(np.maximum(np.abs(low), np.abs(high))[:, :2], axis=1) + beside
     corner = (origin[:, :2] - reach[:, None]).min(axis=0)
     first = np.floor((origin[:, :2] - reach[:, None] - corner) / _CELL_M).astype(int)
     last = np.floor((origin[:, :2] + reach[:, None] - corner) / _CELL_M).astype(int)
@@ -82,6 +82,7 @@ def _boxes(bodies: Bodies) -> _Boxes:
     return _Boxes(
         low=low,
         high=high,
+        reach=beside,
         axes=np.ascontiguousarray(turn.transpose(0, 2, 1)),
         origin=np.ascontiguousarray(origin),
         corner=corner,
@@ -130,7 +131,7 @@ def _next_box(boxes, entry, px, py, pz):
         near = True
         for c in range(3):
             at = boxes.axes[k, c, 0] * qx + boxes.axes[k, c, 1] * qy + boxes.axes[k, c, 2] * qz
-            near &= boxes.low[k, c] - REACH_M < at < boxes.high[k, c] + REACH_M
+            near &= boxes.low[k, c] - boxes.reach[k] < at < boxes.high[k, c] + boxes.reach[k]
         if near:
             return entry
         entry += 1

@@ -1,5 +1,7 @@
 """Variation of a material over the ground and between vehicles: its statistics, and what it must conserve."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -77,3 +79,46 @@ def test_vehicles_of_one_paint_differ():
     assert max(roof.std() / roof.mean() for roof in by_vehicle) < 0.01  # one vehicle is even
     level = np.array([roof.mean() for roof in by_vehicle])
     assert 0.02 < level.std() / level.mean() < 0.25
+
+
+@pytest.mark.parametrize("parked", [True, False])
+def test_each_vehicle_has_its_own_paint_also_a_parked_one(parked):
+    """Over a roof of 8 m by 4 m the paint is one; from vehicle to vehicle it is not."""
+    libraries = [load_materials(variation=factor) for factor in (0.0, 1.0)]
+    index = material_index(libraries[0])
+    ids = [-1] * 6 if parked else range(6)
+    places = [[[1, 0, 0, 15.0 * k - 37.5], [0, 1, 0, 0], [0, 0, 1, 0]] for k in range(6)]
+    car = box(8.0, 4.0, 1.5, material=index["paint_white"])
+    scene = snapshot(plane(400.0, material=index["asphalt"]), [car], places, [0] * 6, vehicle_id=list(ids))
+    scene = replace(scene, fixed=6 * parked)
+    camera, pose = small_camera(40, 360, 90.0), nadir(800.0)
+    hits = trace(scene, camera, pose, SKY.sun_direction, libraries[0]["roughness"].values)
+    assert len(np.unique(hits.vehicle_id)) == 7
+    alone = np.add.reduceat(np.ones(len(hits.material), int), hits.first[:-1]) == 1
+    alone &= hits.normal[hits.first[:-1], 2] > 0.99  # the roofs
+    vehicle = np.where(alone, hits.vehicle_id[hits.first[:-1]], -1)
+    even, varied = (light(one, scene, pose, camera)[:, 0, 0] for one in libraries)
+    factors = [(varied / even)[vehicle == k] for k in np.unique(vehicle) if k != -1]
+    assert len(factors) == 6 and min(map(len, factors)) > 20
+    assert max(one.std() for one in factors) < 1e-3
+    assert np.std([one.mean() for one in factors]) > 0.01
+
+
+def test_what_the_interface_reflects_more_polarizes_the_base_more():
+    """White paint in a white furnace: all light is unpolarized and as bright as around, at any gloss."""
+    library = load_materials(variation=1.0)
+    index = material_index(library)
+    for name in ("reflectance", "colour_variation", "vehicle_variation"):
+        values = library[name].values
+        values[index["paint_white"]] = 1.0 if name == "reflectance" else 0.0
+    places = [[[1, 0, 0, 15.0 * k - 37.5], [0, 1, 0, 0], [0, 0, 1, 0]] for k in range(6)]
+    car = box(8.0, 4.0, 0.01, material=index["paint_white"])
+    scene = snapshot(plane(400.0, material=index["asphalt"]), [car], places, [0] * 6)
+    camera, pose = small_camera(40, 360, 90.0), look_at(Pose(0.0, -1500.0, 800.0), [0.0, 0.0, 0.0])
+    hits = trace(scene, camera, pose, SKY.sun_direction, library["roughness"].values)
+    hits.sun_visible[:] = 0
+    bands = len(SKY.wavelength_um)
+    found = shade(hits, SKY, library, np.eye(bands)).values.reshape(-1, bands, 3)
+    seen = hits.vehicle_id[hits.first[:-1]] >= 0
+    assert seen.sum() > 100
+    assert np.abs(found[seen, 0, 1:] / found[seen, 0, :1]).max() < 0.004

@@ -232,7 +232,7 @@ def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:
     if not 0 <= altitude_m <= altitudes[-1] + 1e-6:
         raise ValueError(
             f"`altitude_m` must lie within the atmosphere's tables, 0 to {altitudes[-1]:g} m; "
-            f"got {altitude_m:g}. Set atmosphere.altitudes_m to extend them."
+            f"got {altitude_m:g}. Set atmosphere.altitudes_m, or cloud_base_m under a cloud, to extend them."
         )
     high = min(max(int(np.searchsorted(altitudes, altitude_m)), 1), len(altitudes) - 1)
     part = float((altitude_m - altitudes[high - 1]) / (altitudes[high] - altitudes[high - 1]))

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
-from glintrack.scene import Mesh, Snapshot
+from glintrack.scene import VEHICLE_CLASSES, Mesh, Snapshot
 
 Past = Literal["all", "still"]
 
@@ -173,6 +173,14 @@ class FaceTable(NamedTuple):
         )
 
 
+def _ids(snapshot: Snapshot) -> Int[Array, "instance"]:
+    """Ids of moving vehicles, −2, −3, … of parked ones, −1 of all else."""
+    ids = np.array(snapshot.vehicle_id, np.int32)
+    parked = np.flatnonzero(np.asarray(snapshot.model)[: snapshot.fixed] < len(VEHICLE_CLASSES))
+    ids[parked] = -2 - np.arange(len(parked))
+    return ids
+
+
 class SurfaceHits(NamedTuple):
     """Surfaces that rays meet; see `Hits` for the other fields.
 
@@ -246,7 +254,7 @@ def resolve(
         np.asarray(snapshot.transforms, dtype=np.float64),
         np.asarray(snapshot.model, dtype=np.int64),
         np.asarray(snapshot.paint, dtype=np.int16),
-        np.asarray(snapshot.vehicle_id, dtype=np.int32),
+        _ids(snapshot),
     )
     query = np.asarray(origins, dtype=np.float64), directions, met
     light = np.int16(surroundings), np.asarray(sun_direction, np.float64), np.asarray(sheets, np.bool_)

@@ -43,6 +43,7 @@ from glintrack.render.shading.projection import Light
 from glintrack.render.shading.rough import Hit, PrefilteredReflection, add_glint
 
 _LATTICE = 256  # cells of the mottle before it repeats: 1 km for the finer octave
+_PARKED = 1_000_000 - 2  # parked vehicles draw after all moving ones
 _APART = 77  # cells between the octaves
 _ZERO, _ONE, _TWO, _THREE, _FINE, _COARSE = (np.float32(x) for x in (0, 1, 2, 3, 0.25, 0.0625))
 # of the lattice's planes, so that walls are mottled too
@@ -89,11 +90,12 @@ def _vary(px, py, pz, vehicle, spread, lattice):
     """Factor of reflectance of a vehicle's paint, share of the other base, and factor of the interface.
 
     Noise over the place, for ground and walls: smooth on 2 m and 16 m, and rectangular patches of 5 m, such
-    as repairs. One draw each, for a vehicle.
+    as repairs. One draw each, for a vehicle, moving or parked.
     """
     shade, colour, gloss = spread
     last = _LATTICE - 1
-    if vehicle >= 0:
+    if vehicle != -1:
+        vehicle = vehicle if vehicle >= 0 else _PARKED - vehicle
         i, j = int(vehicle) & last, (int(vehicle) // _LATTICE) & last
         scale = max(_ONE + shade * _UNIT * lattice[i, j], _ZERO)
         share, shine = _UNIT * lattice[i, (j + _APART) & last], _UNIT * lattice[(i + _APART) & last, j]
@@ -264,8 +266,11 @@ def _shade_bases(index, frame, bases, mirrored, out):
                 spread = variation[m, 0], variation[m, 1], variation[m, 2]
                 factor, share, gloss = _vary(px, py, pz, rays.vehicle_id[ray], spread, lattice)
                 share = min(max(share, variation[m, 3]), _ONE)
-                # what the interface reflects more does not reach the base
-                scale *= factor * max(1 - gloss * reflected, 0) / max(1 - reflected, 1e-3)
+                gloss = min(gloss, _ONE / max(surfaces.weight[m], np.float32(1e-3)))  # a share of Fresnel's
+                # what the interface reflects more does not reach the base, and polarizes what leaves it more
+                below, kept = max(1 - reflected, 1e-3), max(1 - gloss * reflected, 1e-3)
+                scale *= factor * kept / below
+                degree *= gloss * below / kept
             mirrored[sample, 2] = gloss
             enter *= groove_factor(hit, sun, surfaces.groove[m])
             q, u = -degree * turn_c, degree * turn_s
