@@ -159,7 +159,7 @@ def test_features_tell_two_cars_apart_that_meet(tmp_path):
         purity[names] = metrics.score_rows(
             followed.rows, read_truth(tmp_path / "t.csv"), match_distance_m=2.0
         )["purity"]
-    assert purity["f0", "f1"] == 1.0 and purity[()] < 0.9
+    assert purity["f0", "f1"] > 0.98 and purity[()] < 0.9  # coasting, they pass within a metre
 
 
 def test_an_index_that_pandas_wrote_is_no_feature(tmp_path):
@@ -204,7 +204,10 @@ def test_nothing_detected_is_fine(tmp_path, monkeypatch, capsys):
             "must come with east_var_m2 and north_var_m2; got no north",
         ),
         ("time_s,east_m,north_m,east_var_m2,north_var_m2\n0,1,1,-1,1\n", "must form a positive covariance"),
-        ("time_s,east_m,north_m,colour\n0,1,1,red\n", "`colour` must hold numbers; got 'red' in row 2"),
+        ("time_s,east_m,north_m,hue\n0,1,1,5\n1,1,1,red\n", "`hue` must hold numbers; got 'red' in row 3"),
+            "time_s,east_m,north_m,colour\n0,1,1,5\n1,1,1,red\n",
+            "`colour` must hold numbers; got 'red' in row 3",
+        ),
     ],
 )
 def test_bad_detections_are_one_sentence(tmp_path, monkeypatch, capsys, text, complaint):
@@ -654,3 +657,36 @@ def test_frames_of_glintrack_with_pose_files_keep_time_and_polarization(tmp_path
         known = np.isfinite(image["dolp"].values)
         assert known.mean() > 0.3
         np.testing.assert_allclose(image["dolp"].values[known], 0.1, atol=1e-3)
+
+
+def rows_of(tmp_path, name, rows, columns=("time_s", "east_m", "north_m")):
+    pd.DataFrame(rows, columns=list(columns)).to_csv(tmp_path / name, index=False)
+    return track_detections(read_detections(tmp_path / name, 0.3)).rows
+
+
+@pytest.mark.parametrize("value", ["constant", "status", "empty"])
+def test_a_column_that_tells_nothing_changes_no_track(tmp_path, value):
+    detections, _ = crossing()
+    detections["hue"] = np.random.default_rng(1).normal(0, 1, len(detections))
+    detections.to_csv(tmp_path / "one.csv", index=False)
+    more = {"constant": 7.0, "status": "seen", "empty": None}[value]
+    detections.assign(more=more).to_csv(tmp_path / "two.csv", index=False)
+    one, two = (track_detections(read_detections(tmp_path / f"{n}.csv")).rows for n in ("one", "two"))
+    assert one.sizes["row"] > 50
+    xr.testing.assert_allclose(one, two)
+
+
+def test_a_track_does_not_wait_through_hours_without_a_detection(tmp_path):
+    """A vehicle drives by; ten hours later another does, from where the first was last seen."""
+    drive = [(0.5 * k, 5.0 * k, 0.0) for k in range(20)]
+    later = [(36000.0 + t, east + 95.0, north) for t, east, north in drive]
+    found = rows_of(tmp_path, "d.csv", drive + later)
+    first, second = (set(found["track_id"].values[found["time_s"].values // 30000 == k]) for k in (0, 1))
+    assert first and second and not first & second
+
+
+def test_one_missed_frame_at_a_low_rate_is_no_end(tmp_path):
+    """Vehicles 40 m apart at 10 m/s and 0.8 Hz; each is missed once."""
+    rows = [(1.25 * k, 12.5 * k, 40.0 * n) for k in range(20) for n in range(4) if k != 8 + n]
+    found = rows_of(tmp_path, "d.csv", rows)
+    assert len(np.unique(found["track_id"].values)) == 4

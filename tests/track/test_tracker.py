@@ -231,6 +231,11 @@ def test_bad_frames_are_refused_in_one_sentence():
     moved = good.assign_coords(x=("x", good["x"].values + 3, {"units": "m"}))
     with pytest.raises(ValueError, match="`image` must keep its grid"):
         track.step(state, track.Frame(2.0, moved))
+    far = good.assign_coords(y=("y", good["y"].values + 5.8e6, {"units": "m"}))
+    state, _ = track.step(track.start(), track.Frame(1.0, far))
+    moved = far.assign_coords(y=("y", far["y"].values + 40, {"units": "m"}))
+    with pytest.raises(ValueError, match="`image` must keep its grid"):
+        track.step(state, track.Frame(2.0, moved))
     with pytest.raises(ValueError, match="`image` must be a square grid, x rising and y falling"):
         track.step(state, track.Frame(2.0, good.isel(y=slice(None, None, -1))))
     with pytest.raises(ValueError, match=r"`image.dolp` must be present"):

@@ -187,9 +187,9 @@ def _track_frames(
         )
     first = list(next(((one,) for one in frames.frames), ()))
     images = chain(first, frames.frames)
-    reports = track_frames(images if film is None else film.record(images), tracker)
     with Bar(console, transient=True) as bar:
-        reports = list(bar.track(reports, frames.count, description="tracking"))
+        images = bar.track(images, frames.count, description="tracking")
+        reports = list(track_frames(images if film is None else film.record(images), tracker))
     used_s = sorted({time_s for time_s, _ in reports})
     if tracker.detect.detector == FRAMES_DESIGN.detect.detector and len(used_s) < MIN_FRAMES:
         raise ValueError(
@@ -219,7 +219,9 @@ def _detection_notes(table: DetectionTable, tracked: TrackedRows) -> list[str]:
     """List the features, and ask about axes that may be exchanged and a unit that may be wrong."""
     notes, position = [], table.position
     if table.feature_names:
-        notes.append(f"features: {', '.join(table.feature_names)}")
+        lacking = int((~np.isfinite(table.features).all(axis=1)).sum())
+        without = f"; {lacking:,} rows lack one and tell nothing of identity" if lacking else ""
+        notes.append(f"features: {', '.join(table.feature_names)}{without}")
     if tracked.outside:
         west, south, east, north = tracked.area_m
         exchanged = position[:, ::-1]

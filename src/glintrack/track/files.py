@@ -1,5 +1,6 @@
 """Track a user's own detections or rectified frames, without a simulation."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
@@ -21,6 +22,7 @@ CLUTTER_CELL_M = 15.0
 MAX_CELLS = 400  # along a side of the area: memory stays small for any coordinates
 MARGIN_M = 50.0  # beyond the outermost detections
 _ROUNDING_S = 1e-6
+_LONGEST_COAST_S = 60.0  # twice that of a vehicle that stands
 
 MIN_FRAMES = 3  # of the detector of `FRAMES_DESIGN`
 MIN_DURATION_S = 1.5  # of a track in frames: the lag after which its first position is final
@@ -102,7 +104,7 @@ def track_detections(
 
     def reports() -> Iterator[tuple[float, xr.Dataset]]:
         state = start(design, features=width)
-        for time_s, rows in epochs:
+        for time_s, rows in _with_empty_epochs(epochs):
             mine = rows[inside[rows]]
             found = Detections(
                 table.position[mine], table.covariance[mine], np.full(len(mine), 4.0), np.ones(len(mine))
@@ -111,6 +113,20 @@ def track_detections(
             yield time_s, report(state)
 
     return TrackedRows(as_rows(reports()), len(epochs), int((~inside).sum()), area)
+
+
+def _with_empty_epochs(epochs: list[tuple[float, Array]]) -> Iterator[tuple[float, Array]]:
+    """Epochs, and those without a detection between them, which a table has no row for.
+
+    In a longer pause the first minute is enough: no track lasts longer without a detection.
+    """
+    step_s = float(np.median(np.diff([time_s for time_s, _ in epochs]))) if len(epochs) > 1 else 0.0
+    for k, (time_s, rows) in enumerate(epochs):
+        yield time_s, rows
+        if k + 1 < len(epochs):
+            missing = round((epochs[k + 1][0] - time_s) / step_s) - 1
+            missing = min(missing, math.ceil(_LONGEST_COAST_S / step_s))
+            yield from ((time_s + j * step_s, rows[:0]) for j in range(1, missing + 1))
 
 
 def track_frames(
@@ -148,9 +164,14 @@ def track_frames(
         tracks = report(state)
         if design.reporting.history:
             history, earlier = report_history(history, state, tracks)
-            yield from earlier
-            tracks = tracks.assign(tentative=("track", np.zeros(tracks.sizes["track"]), {"units": "1"}))
+            for earlier_s, rows in earlier:
+                yield earlier_s, _with_tentative(rows, 1.0)
+            tracks = _with_tentative(tracks, 0.0)
         yield time_s, tracks
+
+
+def _with_tentative(tracks: xr.Dataset, value: float) -> xr.Dataset:
+    return tracks.assign(tentative=("track", np.full(tracks.sizes["track"], value), {"units": "1"}))
 
 
 def as_rows(reports: Iterable[tuple[float, xr.Dataset]]) -> xr.Dataset:

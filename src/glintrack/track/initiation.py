@@ -125,7 +125,7 @@ def prune(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
     """Delete lost targets, those off the grid, and weaker duplicates of another."""
     tentative_s = design.initiation.in_use.tentative_coast_s
     tentative = (targets.misses <= TENTATIVE_MISSES) | (targets.unseen_s <= tentative_s + _ROUNDING)
-    alive = np.where(targets.confirmed, targets.quality > -_ROUNDING, tentative)
+    alive = tentative | (targets.confirmed & (targets.quality > -_ROUNDING))
     (rows, columns), (row, column) = grid.shape, grid.pixel_of(targets.position)
     targets = select(targets, alive & (row >= 0) & (row < rows) & (column >= 0) & (column < columns))
     if len(targets) < 2:

@@ -109,7 +109,7 @@ def grid_of(frame: Frame, expected: Grid | None) -> Grid:
     if expected is not None and grid.shape != expected.shape:
         raise ValueError(f"`image` must keep its size {expected.shape}; got {grid.shape}.")
     if expected is not None and not np.allclose(
-        (*grid.corner_m, grid.gsd_m), (*expected.corner_m, expected.gsd_m), atol=0.01 * grid.gsd_m
+        (*grid.corner_m, grid.gsd_m), (*expected.corner_m, expected.gsd_m), rtol=0, atol=0.01 * grid.gsd_m
     ):
         raise ValueError(
             f"`image` must keep its grid (corner {expected.corner_m}, GSD {expected.gsd_m:g} m); "
