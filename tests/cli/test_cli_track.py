@@ -687,3 +687,15 @@ def test_one_missed_frame_at_a_low_rate_is_no_end(tmp_path):
     rows = [(1.25 * k, 12.5 * k, 40.0 * n) for k in range(20) for n in range(4) if k != 8 + n]
     found = rows_of(tmp_path, "d.csv", rows)
     assert len(np.unique(found["track_id"].values)) == 4
+
+
+@pytest.mark.parametrize(("rate_hz", "speed_m_s"), [(1.0, 25.0), (0.5, 20.0), (0.33, 15.0)])
+def test_a_lone_vehicle_that_goes_far_between_frames_is_tracked(tmp_path, rate_hz, speed_m_s):
+    """Its second detection begins a track of its own, until the third shows that the first goes there."""
+    rng = np.random.default_rng(0)
+    errors = rng.normal(0, 0.3, (40, 2))
+    rows = [(k / rate_hz, speed_m_s * k / rate_hz + e, n) for k, (e, n) in enumerate(errors)]
+        (k / rate_hz, speed_m_s * k / rate_hz + e, n) for k, (e, n) in enumerate(rng.normal(0, 0.3, (40, 2)))
+    ]
+    found = rows_of(tmp_path, "d.csv", rows)
+    assert found.sizes["row"] > 30 and len(np.unique(found["track_id"].values)) == 1

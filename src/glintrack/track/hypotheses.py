@@ -175,8 +175,10 @@ def select_hypothesis(
     return best
 
 
-def prune(leaves: Leaves, alive: Targets, new: Targets, detection: Int[Array, "new"], scan: int) -> Leaves:
+def prune(leaves: Leaves, alive: Targets, new: Targets) -> Leaves:
     """Delete the trees whose best leaf is not alive, and add a tree of one leaf for each new target.
+
+    An older tree may take the detection of a new one, when later scans show that it is the same vehicle's.
 
     Parameters
     ----------
@@ -184,17 +186,12 @@ def prune(leaves: Leaves, alive: Targets, new: Targets, detection: Int[Array, "n
         From `advance_trees`.
     alive, new
         Best leaves that are alive, and new targets.
-    detection
-        Detection of each new target.
-    scan
-        Number of the scan.
     """
     place = np.searchsorted(alive.id, leaves.targets.id)
     keep = np.append(alive.id, -1)[place] == leaves.targets.id
     window = leaves.used.shape[1]
     n = len(new)
     used, lineage = np.full((n, window), -1), np.full((n, window), -1)
-    used[:, 0] = scan * 2**32 + detection
     lineage[:] = (leaves.nodes + np.arange(n))[:, None]
     return Leaves(
         targets=concatenate(select(leaves.targets, keep), new), cost=np.r_[leaves.cost[keep], np.zeros(n)],

@@ -208,7 +208,7 @@ def _step(
     flow = update_flow(state.flow, found.position, seen.time_s)
     new = initiate(design, found, features, index, state.next_id, flow, state.roads, others)
     if leaves is not None:
-        leaves = hypotheses.prune(leaves, targets, new, index, state.frame)
+        leaves = hypotheses.prune(leaves, targets, new)
     targets, duplicates = concatenate(targets, new), state.duplicates
     next_id = max(state.next_id, int(targets.id.max(initial=-1)) + 1)
     if uses_existence:
