@@ -695,7 +695,5 @@ def test_a_lone_vehicle_that_goes_far_between_frames_is_tracked(tmp_path, rate_h
     rng = np.random.default_rng(0)
     errors = rng.normal(0, 0.3, (40, 2))
     rows = [(k / rate_hz, speed_m_s * k / rate_hz + e, n) for k, (e, n) in enumerate(errors)]
-        (k / rate_hz, speed_m_s * k / rate_hz + e, n) for k, (e, n) in enumerate(rng.normal(0, 0.3, (40, 2)))
-    ]
     found = rows_of(tmp_path, "d.csv", rows)
     assert found.sizes["row"] > 30 and len(np.unique(found["track_id"].values)) == 1
