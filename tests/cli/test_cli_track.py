@@ -683,8 +683,8 @@ def test_a_track_does_not_wait_through_hours_without_a_detection(tmp_path):
 
 
 def test_one_missed_frame_at_a_low_rate_is_no_end(tmp_path):
-    """Vehicles 40 m apart at 10 m/s and 0.8 Hz; each is missed once."""
-    rows = [(1.25 * k, 12.5 * k, 40.0 * n) for k in range(20) for n in range(4) if k != 8 + n]
+    """Vehicles 40 m apart at 5 m/s and 0.4 Hz; each is missed once."""
+    rows = [(2.5 * k, 12.5 * k, 40.0 * n) for k in range(20) for n in range(4) if k != 8 + n]
     found = rows_of(tmp_path, "d.csv", rows)
     assert len(np.unique(found["track_id"].values)) == 4
 

@@ -125,7 +125,9 @@ def prune(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
     """Delete lost targets, those off the grid, and weaker duplicates of another."""
     tentative_s = design.initiation.in_use.tentative_coast_s
     tentative = (targets.misses <= TENTATIVE_MISSES) | (targets.unseen_s <= tentative_s + _ROUNDING)
-    alive = tentative | (targets.confirmed & (targets.quality > -_ROUNDING))
+    # frames that are rarer than the time of coasting: the first miss is not yet the end
+    first_miss = (targets.misses == 1) & (targets.unseen_s >= design.initiation.coast_s - _ROUNDING)
+    alive = np.where(targets.confirmed, (targets.quality > -_ROUNDING) | first_miss, tentative)
     (rows, columns), (row, column) = grid.shape, grid.pixel_of(targets.position)
     targets = select(targets, alive & (row >= 0) & (row < rows) & (column >= 0) & (column < columns))
     if len(targets) < 2:
