@@ -113,7 +113,8 @@ def read_detections(
     others = [c for c in table.columns if c not in ("time_s", *POSITION, *COVARIANCE, *NO_FEATURE)]
     others = [c for c in others if not c.startswith("Unnamed: ")]  # an index that pandas wrote
     # a column without any number, such as a status, is no feature unless it is asked for
-    others = [c for c in others if pd.to_numeric(table[c], errors="coerce").notna().any()]
+    numbers = {c: np.asarray(pd.to_numeric(table[c], errors="coerce"), dtype=float) for c in others}
+    others = [c for c in others if np.isfinite(numbers[c]).any()]
     names = tuple(others) if feature_names is None else feature_names
     if missing := [n for n in names if n not in table.columns]:
         known = plain(", ".join(map(str, table.columns)), _MAX_TEXT)
