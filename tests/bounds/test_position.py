@@ -146,7 +146,7 @@ def test_three_cars_are_placed_to_centimetres_by_the_light_and_worse_by_detectio
 
 def test_frames_that_were_not_measured_do_not_dilute_the_information():
     sightings, (frame,), _ = flight()
-    others = [replace(frame, time_s=s.time_s, information=0 * frame.information) for s in sightings]
+    others = [replace(frame, time_s=s.time_s, information=np.nan * frame.information) for s in sightings]
     all_of_them = [frame if k == 4 else other for k, other in enumerate(others)]
     found = flight_accuracy(sightings, all_of_them)["position_bound_sensor"].item()
     assert found == flight_accuracy(sightings, [frame])["position_bound_sensor"].item()

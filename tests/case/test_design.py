@@ -176,7 +176,7 @@ def test_a_packaged_case_is_read_by_its_name():
         (
             {"sensor.auto_exposure.longest_ms": 2.0},
             "sensor.auto_exposure.longest_ms",
-            "Another auto_exposure.quantile uses it",
+            "Another value of auto_exposure.quantile uses it",
         ),
         ({"track.motion.braking_m_s2": 1.0}, "track.motion.braking_m_s2", "motion.model = 'imm' uses it"),
         ({"track.association.scans": 2}, "track.association.scans", "association.method = 'mht' uses it"),

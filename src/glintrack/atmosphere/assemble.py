@@ -100,10 +100,8 @@ def assemble_tables(
     sun_zenith, sun_azimuth = sun_direction(design)
     medium = build_medium(design, math.cos(sun_zenith))
     half_circle = np.radians(np.arange(0.0, 180.0 + AZIMUTH_STEP_DEG / 2, AZIMUTH_STEP_DEG))
-    zeniths, altitudes = (
-        (np.radians(ZENITH_DEG), np.radians(VIEW_ZENITH_DEG)),
-        np.array(design.sensor_altitudes_m),
-    )
+    zeniths = np.radians(ZENITH_DEG), np.radians(VIEW_ZENITH_DEG)
+    altitudes = np.array(design.sensor_altitudes_m)
     directions = solve.Directions(math.cos(sun_zenith), *zeniths, half_circle, altitudes)
 
     def part(start: float, share: float) -> Callable[[float], None]:

@@ -173,8 +173,8 @@ def path_transmittance(
 ) -> Float[Array, "wavelength altitude view_zenith"]:
     """Transmittance of all gases from the ground to a sensor. [1]
 
-    Sunlight has lost the centres of the lines on its way to the ground: of a band of it more is left than of
-    a band of white light, T(sun and view) / T(sun).
+    Sunlight reaches the ground without the centres of the absorption lines. On the way up it loses less than
+    white light: its transmittance is T(down and up) / T(down).
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def path_transmittance(
     view_zenith
         Angle of the path from the vertical, at the ground. [rad]
     cos_sun_zenith
-        Of the sun, for its light; white light by default. [1]
+        Of the sun's zenith angle, for reflected sunlight; white light by default. [1]
     """
     table, profiles = read_gases(), gas_profiles(height_m)
     slant = np.array([[slant_weights(math.cos(v), height_m, a) for v in view_zenith] for a in altitude_m])

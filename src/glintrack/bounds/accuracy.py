@@ -216,7 +216,7 @@ class DetectorStatistics:
         """Statistics over visible movers, with offsets about their mean; None with too few detections."""
         pairs = list(zip(truths, frames, strict=True))
         while pairs and not (len(pairs[0][1].found) or len(pairs[0][1].false)):
-            pairs.pop(0)  # the background is learnt
+            pairs.pop(0)  # frames in which the background is learnt
         offset = [f.offset[np.isin(f.found, s.vehicle[s.counted])] for s, f in pairs]
         offset = np.concatenate([np.zeros((0, 2)), *offset])
         if len(offset) < _MIN_DETECTIONS:
@@ -330,7 +330,7 @@ def _body_information(frames: list[FrameBudget], truths: list[FrameTruth], ids: 
     total, visible = np.zeros((len(ids), 2, 2)), np.zeros(len(ids))
     at = {s.time_s: s for s in truths}
     for frame in frames:
-        if not frame.information.any():  # was not measured: only some frames have positions
+        if np.isnan(frame.information).any():  # not measured
             continue
         seen = at[frame.time_s]
         order = np.argsort(seen.vehicle)

@@ -56,7 +56,7 @@ class FrameBudget:
     probability, detectability
         P_D and d′ of the ideal observer for each. [1]
     information
-        Fisher information of the (east, north) of each (`bounds.position`). [m⁻²]
+        Fisher information of the (east, north) of each (`bounds.position`); NaN if not measured. [m⁻²]
     scored
         Scores by stage that detects: best of each vehicle, and of the false detections.
     tracked

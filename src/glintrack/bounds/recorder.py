@@ -232,7 +232,7 @@ class BudgetRecorder:
             vehicles=rows,
             probability=np.zeros(len(ids)),
             detectability=np.zeros(len(ids)),
-            information=np.zeros((len(ids), 2, 2)),
+            information=np.full((len(ids), 2, 2), np.nan),
         )
 
 

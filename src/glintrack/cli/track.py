@@ -220,7 +220,7 @@ def _detection_notes(table: DetectionTable, tracked: TrackedRows) -> list[str]:
     notes, position = [], table.position
     if table.feature_names:
         lacking = int((~np.isfinite(table.features).all(axis=1)).sum())
-        without = f"; {lacking:,} rows lack one and tell nothing of identity" if lacking else ""
+        without = f"; {lacking:,} rows lack one and are associated by position only" if lacking else ""
         notes.append(f"features: {', '.join(table.feature_names)}{without}")
     if tracked.outside:
         west, south, east, north = tracked.area_m

@@ -72,16 +72,16 @@ def refuse_ignored(
     uses: Mapping[tuple[str, tuple[Any, ...]], Sequence[str]],
     allowed: Mapping[str, Any] | None = None,
 ) -> None:
-    """Refuse keys with other values than their defaults that the choices in a design ignore.
+    """Refuse keys that have no effect with the choices of a design, unless they have their defaults.
 
     Parameters
     ----------
     design
         A table of a case.
     uses
-        Choice and its values that use some keys, to these keys; without values, all but its default do.
+        (Choice, its values that use some keys) to these keys. An empty tuple is all values but the default.
     allowed
-        Key to another value that it may always have.
+        Key to a second value that is always accepted.
     """
     for (choice, values), keys in uses.items():
         chosen = attrgetter(choice)(design)
@@ -90,7 +90,8 @@ def refuse_ignored(
         for key in keys:
             found = attrgetter(key)(design)
             if found not in (_default_of(design, key), (allowed or {}).get(key)):
-                other = f"{choice} = {' or '.join(map(repr, values))}" if values else f"Another {choice}"
+                known = " or ".join(map(repr, values))
+                other = f"{choice} = {known}" if values else f"Another value of {choice}"
                 raise ValueError(
                     f"`{key}` must be left out with {choice} = {chosen!r}, which ignores it; got {found!r}. "
                     f"{other} uses it."

@@ -11,7 +11,7 @@ from glintrack.core.schema import EARTH_RADIUS_M
 from glintrack.io.untrusted import resolve_path
 
 MIN_ALTITUDE_M, MAX_ALTITUDE_M = 200.0, 20_000.0
-# choice and its values that use some keys; these keys
+# keys by the choice, and its values, that use them
 _USES = {
     ("kind", ("straight",)): ["course_deg"],
     ("kind", ("racetrack",)): ["leg_m", "turn_radius_m"],

@@ -23,12 +23,13 @@ from glintrack.ortho.rasters import (
     footprint,
     frame_border,
     heights_under,
+    hint_of_exchange,
     occlusion_by_raster,
 )
 from glintrack.ortho.rectify import GridCells, rectify_frame, rectify_onto
 
 _EXACT = ("uint8", "uint16", "int16")  # types with numbers that are exact in float32
-_NARROWINGS = 3  # of the range of heights to the ground that the frame sees
+_NARROWINGS = 3  # iterations: footprint between two heights, then heights in the footprint
 
 
 @dataclass(frozen=True)
@@ -231,14 +232,16 @@ def ground_levels(
         _check_above(placed, ground)
         return float(ground), float(ground)
     path, own = Path(ground), placed.crs if crs is None else crs
-    levels = read_height_range(path, "dem")
-    _check_above(placed, levels[0])
+    levels = MIN_HEIGHT_M, MAX_HEIGHT_M
     lens = placed.origin_m[0] + placed.pose.east_m, placed.origin_m[1] + placed.pose.north_m
-    with suppress(NotReachedError):  # its place is checked where the heights are read
+    try:
         for _ in range(_NARROWINGS):
             seen = footprint(camera, placed, levels, own) if area is None else area
             levels = read_height_range(path, "dem", seen, own)
             _check_above(placed, levels[0])
+    except NotReachedError as error:
+        raise ValueError(f"{error}{hint_of_exchange(path, 'dem', placed)}") from error
+    with suppress(NotReachedError):  # the raster need not reach the ground under the lens
         _check_above(placed, read_height_range(path, "dem", (*lens, *lens), placed.crs)[0])
     return levels
 

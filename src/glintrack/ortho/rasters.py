@@ -137,11 +137,11 @@ def heights_under(path: Path, option: str, grid: MapGrid, placed: PlacedPose) ->
     try:
         heights = read_heights(path, option, corners[0], corners[1], grid.crs)
     except NotReachedError as error:
-        raise ValueError(f"{error}{_if_exchanged(path, option, placed)}") from error
+        raise ValueError(f"{error}{hint_of_exchange(path, option, placed)}") from error
     return _at(heights, *transform_axes(grid.x, grid.y, grid.crs, heights.crs))
 
 
-def _if_exchanged(path: Path, option: str, placed: PlacedPose) -> str:
+def hint_of_exchange(path: Path, option: str, placed: PlacedPose) -> str:
     """Remedy for a pose far from a raster, with a hint if easting and northing are exchanged."""
     east = placed.origin_m[0] + placed.pose.east_m
     north = placed.origin_m[1] + placed.pose.north_m

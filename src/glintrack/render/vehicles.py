@@ -15,7 +15,7 @@ from glintrack.camera import Camera, Pose, project, rays
 from glintrack.core.arrays import Array
 from glintrack.render.rays.surfaces import Tracer, box_corners
 from glintrack.render.tracer import SceneTracer, intersector
-from glintrack.scene import VEHICLE_CLASSES, Mesh, Snapshot
+from glintrack.scene import Mesh, Snapshot
 
 PARKED_ID = 1_000_000  # first id of parked vehicles, in the order of the snapshot's instances
 
@@ -45,8 +45,7 @@ class Outlines(NamedTuple):
 def vehicle_ids(snapshot: Snapshot) -> Int[Array, "instance"]:
     """Id of each instance: the truth's of moving vehicles, from `PARKED_ID` of parked ones, −1 of others."""
     ids = np.array(snapshot.vehicle_id, np.int64)
-    parked = np.flatnonzero(np.asarray(snapshot.model)[: snapshot.fixed] < len(VEHICLE_CLASSES))
-    ids[parked] = PARKED_ID + np.arange(len(parked))
+    ids[snapshot.parked] = PARKED_ID + np.arange(len(snapshot.parked))
     return ids
 
 

@@ -68,6 +68,11 @@ class Snapshot:
     vehicle_id: Int[Array, "vehicle"]
     fixed: int = 0
 
+    @property
+    def parked(self) -> Int[Array, "parked"]:
+        """Instances that are parked vehicles."""
+        return np.flatnonzero(np.asarray(self.model)[: self.fixed] < len(VEHICLE_CLASSES))
+
     def without_traffic(self) -> "Snapshot":
         """Return the snapshot with only its fixed instances."""
         names = ("transforms", "model", "paint", "vehicle_id")

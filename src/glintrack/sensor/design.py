@@ -19,7 +19,7 @@ from glintrack.sensor.layouts import MIRROR, Demosaicker, Superpixel, check_demo
 
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
 _OF_CONSTANT_POLARIZER = ("polarizer_transmittance", "polarizer_extinction_ratio")
-# choice and its values that use some keys; these keys
+# keys by the choice, and its values, that use them
 _USES = {
     ("polarizer", ("constant",)): _OF_CONSTANT_POLARIZER,
     ("auto_exposure.quantile", ()): ["auto_exposure.longest_ms"],

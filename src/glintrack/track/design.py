@@ -19,7 +19,7 @@ _CONFIRMATION_KEYS = (
     "rules", "confirm_score", "confirm_hits", "confirm_window", "confirm_min_age_s", "confirm_travel_m",
     "confirm_speed_m_s", "confirm_ratio",
 )  # fmt: skip
-# choice and its values that use some keys; these keys
+# keys by the choice, and its values, that use them
 _USES = {
     ("reporting.method", ("confirmation",)): [f"initiation.{key}" for key in _CONFIRMATION_KEYS],
     ("reporting.method", ("existence",)): ["reporting.max_false_share", "reporting.lag_s"],

@@ -22,7 +22,6 @@ CLUTTER_CELL_M = 15.0
 MAX_CELLS = 400  # along a side of the area: memory stays small for any coordinates
 MARGIN_M = 50.0  # beyond the outermost detections
 _ROUNDING_S = 1e-6
-_LONGEST_COAST_S = 60.0  # twice that of a vehicle that stands
 
 MIN_FRAMES = 3  # of the detector of `FRAMES_DESIGN`
 MIN_DURATION_S = 1.5  # of a track in frames: the lag after which its first position is final
@@ -100,11 +99,12 @@ def track_detections(
     features = _standardize(table.features, width)
     x, y = table.position.T
     inside = (x >= west) & (x <= east) & (y >= south) & (y <= north)
-    epochs = table.epochs()
+    epochs, rules = table.epochs(), design.initiation
+    longest_s = max(rules.coast_s, rules.in_use.stopped_coast_s, rules.in_use.tentative_coast_s)
 
     def reports() -> Iterator[tuple[float, xr.Dataset]]:
         state = start(design, features=width)
-        for time_s, rows in _with_empty_epochs(epochs):
+        for time_s, rows in _with_empty_epochs(epochs, longest_s):
             mine = rows[inside[rows]]
             found = Detections(
                 table.position[mine], table.covariance[mine], np.full(len(mine), 4.0), np.ones(len(mine))
@@ -115,17 +115,17 @@ def track_detections(
     return TrackedRows(as_rows(reports()), len(epochs), int((~inside).sum()), area)
 
 
-def _with_empty_epochs(epochs: list[tuple[float, Array]]) -> Iterator[tuple[float, Array]]:
-    """Epochs, and those without a detection between them, which a table has no row for.
+def _with_empty_epochs(epochs: list[tuple[float, Array]], longest_s: float) -> Iterator[tuple[float, Array]]:
+    """Epochs of a table, and epochs without detections where times are missing.
 
-    In a longer pause the first minute is enough: no track lasts longer without a detection.
+    In a pause they end when no track coasts any longer, after ``longest_s``. [s]
     """
     step_s = float(np.median(np.diff([time_s for time_s, _ in epochs]))) if len(epochs) > 1 else 0.0
     for k, (time_s, rows) in enumerate(epochs):
         yield time_s, rows
         if k + 1 < len(epochs):
             missing = round((epochs[k + 1][0] - time_s) / step_s) - 1
-            missing = min(missing, math.ceil(_LONGEST_COAST_S / step_s))
+            missing = min(missing, math.ceil(longest_s / step_s) + 1)
             yield from ((time_s + j * step_s, rows[:0]) for j in range(1, missing + 1))
 
 

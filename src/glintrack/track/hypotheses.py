@@ -178,7 +178,7 @@ def select_hypothesis(
 def prune(leaves: Leaves, alive: Targets, new: Targets) -> Leaves:
     """Delete the trees whose best leaf is not alive, and add a tree of one leaf for each new target.
 
-    An older tree may take the detection of a new one, when later scans show that it is the same vehicle's.
+    An older tree may still use the detection of a new one. `initiation.prune` deletes the duplicate.
 
     Parameters
     ----------

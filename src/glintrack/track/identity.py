@@ -254,7 +254,7 @@ def axes(population: Population) -> tuple[Float[Array, "feature"], Float[Array, 
     all_spread = population.scatter / population.count + RIDGE * np.eye(size)
     within = (PRIOR_SPECTRA * WITHIN_SPREAD**2 * all_spread + population.within_scatter) / (
         PRIOR_SPECTRA + population.within_count
-    ) + RIDGE * np.eye(size)  # along an axis without spread nothing is told
+    ) + RIDGE * np.eye(size)  # an axis without variance carries no evidence
     # the basis makes all_spread 1 and within diagonal; both are finite and all_spread positive by its ridge
     ratio, basis, failed = lapack.dsygvd(within, all_spread)  # pyright: ignore[reportAttributeAccessIssue]
     if failed:

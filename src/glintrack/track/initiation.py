@@ -125,7 +125,7 @@ def prune(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
     """Delete lost targets, those off the grid, and weaker duplicates of another."""
     tentative_s = design.initiation.in_use.tentative_coast_s
     tentative = (targets.misses <= TENTATIVE_MISSES) | (targets.unseen_s <= tentative_s + _ROUNDING)
-    # frames that are rarer than the time of coasting: the first miss is not yet the end
+    # at frame intervals of coast_s or more, a single miss does not delete a track
     first_miss = (targets.misses == 1) & (targets.unseen_s >= design.initiation.coast_s - _ROUNDING)
     alive = np.where(targets.confirmed, (targets.quality > -_ROUNDING) | first_miss, tentative)
     (rows, columns), (row, column) = grid.shape, grid.pixel_of(targets.position)

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
-from glintrack.scene import VEHICLE_CLASSES, Mesh, Snapshot
+from glintrack.scene import Mesh, Snapshot
 
 Past = Literal["all", "still"]
 
@@ -176,8 +176,7 @@ class FaceTable(NamedTuple):
 def _ids(snapshot: Snapshot) -> Int[Array, "instance"]:
     """Ids of moving vehicles, −2, −3, … of parked ones, −1 of all else."""
     ids = np.array(snapshot.vehicle_id, np.int32)
-    parked = np.flatnonzero(np.asarray(snapshot.model)[: snapshot.fixed] < len(VEHICLE_CLASSES))
-    ids[parked] = -2 - np.arange(len(parked))
+    ids[snapshot.parked] = -2 - np.arange(len(snapshot.parked))
     return ids
 
 

@@ -38,7 +38,7 @@ class Hits(NamedTuple):
     material
         Index into the materials; −1 for sky.
     vehicle_id
-        The moving vehicle hit; −1 for none, less for each parked one.
+        The moving vehicle hit; −1 for none, below −1 for parked vehicles.
     sun_visible
         Transmittance of the sun's light to the facet, 0 to 1; 0 with the sun behind the facet, unless that is
         a leaf card (a material with a gap fraction): then to its back. [1]

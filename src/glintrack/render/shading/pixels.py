@@ -43,7 +43,7 @@ from glintrack.render.shading.projection import Light
 from glintrack.render.shading.rough import Hit, PrefilteredReflection, add_glint
 
 _LATTICE = 256  # cells of the mottle before it repeats: 1 km for the finer octave
-_PARKED = 1_000_000 - 2  # parked vehicles draw after all moving ones
+_PARKED = 1_000_000 - 2  # offset of the draws of parked vehicles, ids −2, −3, …
 _APART = 77  # cells between the octaves
 _ZERO, _ONE, _TWO, _THREE, _FINE, _COARSE = (np.float32(x) for x in (0, 1, 2, 3, 0.25, 0.0625))
 # of the lattice's planes, so that walls are mottled too
@@ -266,8 +266,8 @@ def _shade_bases(index, frame, bases, mirrored, out):
                 spread = variation[m, 0], variation[m, 1], variation[m, 2]
                 factor, share, gloss = _vary(px, py, pz, rays.vehicle_id[ray], spread, lattice)
                 share = min(max(share, variation[m, 3]), _ONE)
-                gloss = min(gloss, _ONE / max(surfaces.weight[m], np.float32(1e-3)))  # a share of Fresnel's
-                # what the interface reflects more does not reach the base, and polarizes what leaves it more
+                gloss = min(gloss, _ONE / max(surfaces.weight[m], np.float32(1e-3)))  # at most Fresnel's law
+                # a stronger interface transmits less light to the base, and polarizes more what leaves it
                 below, kept = max(1 - reflected, 1e-3), max(1 - gloss * reflected, 1e-3)
                 scale *= factor * kept / below
                 degree *= gloss * below / kept

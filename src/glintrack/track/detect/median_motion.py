@@ -21,6 +21,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from glintrack.core.arrays import Array
 from glintrack.io.times import MAX_STEP_S
+from glintrack.track.calibration import read_calibration
 from glintrack.track.design import MEDIAN_SPACING_S, DetectDesign
 from glintrack.track.detect import registration, sliding_median
 from glintrack.track.detect.detections import Association, Detections, no_detections
@@ -34,7 +35,6 @@ FOOTPRINT_M = (4.6, 2.6)
 CAP = 6.0  # standard deviations: a glint counts as much as a car
 CLUTTER_M, CLUTTER_PX = 40.0, 40  # least side of the tiles in which the strength of clutter is taken
 CLUTTER_QUANTILE = 0.75
-_COARSEST_FITTED_M = 1.0  # pixels of the frames that the model of the evidence is from
 CLUTTER_MARGIN = 1.1  # of the strength of independent noise, up to which nothing is scaled
 KERNEL_PX = 2  # half width of the cubic kernel
 AREA_PX = 3  # side of the least area of no data
@@ -209,8 +209,9 @@ def _clutter_scale(change: Float[Array, "y x"], windows: Windows, gsd_m: float) 
     bounded = np.clip(np.nan_to_num(change), -CAP, CAP)
     strength, side = _strength(bounded, windows), max(round(CLUTTER_M / gsd_m), CLUTTER_PX)
     usual = local_quantile(strength, np.isfinite(change), CLUTTER_QUANTILE, side)
-    # windows of few pixels find strong noise: the model of the evidence knows that of fine pixels
-    expected = min(_noise_strength(gsd_m), _noise_strength(_COARSEST_FITTED_M))
+    # the models of the evidence expect at most the noise of the coarsest pixels that they were chosen for
+    coarsest_m = max(read_calibration("median_motion").valid["gsd_m"])
+    expected = min(_noise_strength(gsd_m), _noise_strength(coarsest_m))
     return np.maximum(usual / (CLUTTER_MARGIN * expected), 1.0).astype(np.float32)
 
 
