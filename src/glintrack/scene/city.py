@@ -24,7 +24,14 @@ from glintrack.scene.objects.plants import hedge_model, tree_models
 from glintrack.scene.objects.terrain import flat_terrain, is_level, read_dem, rolling_terrain, slope_at
 from glintrack.scene.sources.braunschweig import braunschweig_site
 from glintrack.scene.sources.embedded import procedural_site
-from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Site, mesh_site, mesh_terrain, resolve_file
+from glintrack.scene.sources.site import (
+    VEHICLE_MARGIN_M,
+    Site,
+    height_of_zero,
+    mesh_site,
+    mesh_terrain,
+    resolve_file,
+)
 from glintrack.scene.sources.user_network import network_site
 from glintrack.scene.traffic import Recording, Traffic, warn_of_jam
 from glintrack.scene.vehicles import VEHICLE_CLASSES, build_models
@@ -306,7 +313,12 @@ def _terrain(design: SceneDesign, site: Site) -> tuple[xr.Dataset, float]:
     bounds = layouts.expand_extent(site.extent_m, layouts.MARGIN_M)
     if design.dem_file:
         origin = site.place.easting_m, site.place.northing_m
-        return read_dem(resolve_file(design.dem_file), bounds, site.place.crs, origin)
+        terrain, origin_height_m = read_dem(resolve_file(design.dem_file), bounds, site.place.crs, origin)
+        if site.mesh is None:
+            return terrain, origin_height_m
+        zero_m = height_of_zero(site.mesh, terrain, origin_height_m)
+        height = terrain["height"] + (origin_height_m - zero_m)
+        return terrain.assign(height=height.assign_attrs(terrain["height"].attrs)), zero_m
     if design.hills_m:
         rng = np.random.default_rng((design.seed, _RELIEF_KEY))
         return rolling_terrain(bounds, design.hills_m, rng), 0.0

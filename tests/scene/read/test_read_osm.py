@@ -242,3 +242,12 @@ def test_other_formats_are_refused_with_what_converts_them(tmp_path, content, se
 )
 def test_side_of_the_road_by_country(place, longitude_deg, latitude_deg, left):
     assert keeps_left(longitude_deg, latitude_deg) == left, place
+
+
+@needs_sumo
+def test_an_inner_way_with_its_own_tags_is_a_building_of_its_own(tmp_path):
+    town = _Areas()
+    outer, inner = town.box(20, 20, 70, 70), town.box(40, 40, 30, 30, building="roof", height="5")
+    town.relation((outer, "outer"), (inner, "inner"), building="yes", height="20")
+    buildings, _, _ = town.read(tmp_path)
+    assert buildings == pytest.approx({20.0: 70**2 - 30**2, 5.0: 30**2}, rel=0.01)

@@ -126,3 +126,28 @@ def test_bad_files_get_one_sentence(tmp_path, text, sentence):
     (tmp_path / "m.poly.xml").write_text(text)
     with pytest.raises(ValueError, match=sentence):
         read_polygons(tmp_path / "m.poly.xml")
+
+
+def test_names_of_the_type_map_are_grounds_and_other_names_are_counted(tmp_path):
+    """As polyconvert writes them without --osm.keep-full-type; a river may be a line of type water."""
+    with collect_readings() as readings:
+        found = read(
+            tmp_path,
+            polygon("a", 0, 0, 10, kind="water"),
+            polygon("b", 20, 0, 10, kind="forest"),
+            polygon("c", 40, 0, 10, kind="residential"),
+            polygon("d", 60, 0, 10, kind="water", attributes='fill="0"'),
+        )
+    assert [kind for kind, _ in found.grounds] == ["water", "forest"]
+    ((reason, count),) = readings[0].left_out
+    assert "keep-full-type" in reason and count == 1
+
+
+def test_coasts_and_rivers_without_an_outline_are_counted(tmp_path):
+    with collect_readings() as readings:
+        read(
+            tmp_path,
+            polygon("a", 0, 0, 10, kind="natural.coastline"),
+            polygon("b", 20, 0, 10, kind="waterway.river"),
+        )
+    assert (readings[0].found, readings[0].used) == (2, 0)

@@ -119,3 +119,21 @@ def test_signals_that_wait_for_a_hand_are_counted(tmp_path):
     program = '<tlLogic id="{}"><phase duration="{}" state="Gr"/><phase duration="4" state="yr"/></tlLogic>'
     path.write_text(NET.replace("</net>", program.format("a", 42) + program.format("b", 10000) + "</net>"))
     assert count_standing_signals(path) == 1
+
+
+@pytest.mark.parametrize(
+    ("allow", "kind"),
+    [
+        ("hov", "car"),
+        ("vip", "car"),
+        ("all", "car"),
+        ("motorcycle moped", "car"),
+        ("bicycle pedestrian", "walk"),
+    ],
+)
+def test_a_lane_of_motor_vehicles_is_no_pavement(tmp_path, allow, kind):
+    (tmp_path / "n.net.xml").write_text(
+        NET.replace('id="ab_0" index="0" allow="pedestrian"', f'id="ab_0" index="0" allow="{allow}"')
+    )
+    network, _ = read_sumo_net(tmp_path / "n.net.xml")
+    assert {lane.kind for lane in network.lanes if (lane.edge_id, lane.index) == ("ab", 0)} == {kind}

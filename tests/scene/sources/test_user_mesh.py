@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+import rasterio
 
 from glintrack.core.installation import MissingExtraError
 from glintrack.io.readings import collect_readings
@@ -189,3 +190,35 @@ def test_what_the_library_logs_of_a_file_is_not_shown(tmp_path, caplog):
     path.write_text(f"solid a\nfacet normal 0 0 one\nouter loop\n{corners}endloop\nendfacet\nendsolid a\n")
     assert len(read_mesh(path).faces) == 1
     assert caplog.records == []
+
+
+def with_elevations(files, dem_m, lifted_m):
+    """Keys of a scene with a level elevation model, and the mesh lifted; a parked car on the street."""
+    scene = street_and_house()
+    scene.apply_translation((0, 0, lifted_m))
+    turned_to_y_up(scene).export(files / "s.glb")
+    steps = "".join(
+        f'<timestep time="{t}"><vehicle id="a" x="-20" y="0" angle="90" type="car"/></timestep>'
+        for t in range(3)
+    )
+    (files / "f.xml").write_text(f"<fcd-export>{steps}</fcd-export>")
+    with rasterio.open(
+        files / "d.tif", "w", driver="GTiff", width=200, height=200, count=1, dtype="float32",
+        crs="EPSG:32632", transform=rasterio.Affine(10, 0, 499_000, 0, -10, 5_501_000),
+    ) as file:  # fmt: skip
+        file.write(np.full((200, 200), dem_m, np.float32), 1)
+    keys = {"traffic_file": str(files / "f.xml"), "dem_file": str(files / "d.tif")}
+    return keys | {"crs": "EPSG:32632", "origin_m": (500_000.0, 5_500_000.0)}
+
+
+@pytest.mark.parametrize("lifted_m", [-2.0, 48.0])
+def test_vehicles_stand_on_a_mesh_beside_an_elevation_model(files, lifted_m):
+    """The mesh's heights are relative to the ground at its origin, or those of the model, 50 m there."""
+    city = build_scene(design(files, **with_elevations(files, 50.0, lifted_m)))
+    assert city.truth(1.0)["up_m"].values == pytest.approx(2 + lifted_m, abs=0.01)
+    assert city.origin_height_m + 2 + lifted_m == pytest.approx(50)
+
+
+def test_a_mesh_at_other_heights_than_its_elevation_model_is_refused(files):
+    with pytest.raises(ValueError, match=r"`scene.mesh_file` must have its ground at the heights"):
+        build_scene(design(files, **with_elevations(files, 100.0, 40.0)))

@@ -14,11 +14,13 @@ from glintrack.core import schema
 from glintrack.core.installation import MissingExtraError
 from glintrack.io.readings import collect_readings
 from glintrack.scene import SceneDesign, build_scene, record_traffic
+from glintrack.scene.objects.buildings import rise_m
 from glintrack.scene.objects.surfaces import Lane, RoadNetwork, road_areas
 from glintrack.scene.read.polygons import Footprint, Polygons
-from glintrack.scene.read.sumo import sumo_home
-from glintrack.scene.sources import user_network
+from glintrack.scene.read.sumo import NetLocation, sumo_home
+from glintrack.scene.sources import lots, user_network
 from glintrack.scene.sources.lots import pavement_parking
+from glintrack.scene.sources.site import place_of
 from glintrack.scene.sources.user_network import busiest_place, streets_through_buildings
 from tests.scene.read.test_sumo_net import NET
 from tests.scene.town_osm import town_osm
@@ -345,3 +347,45 @@ def test_bundled_real_networks(tmp_path, monkeypatch, net, polygons, centre):
     # an overlap of over a metre square would be a crash; ramps that cross at two levels are flattened
     crossing = 2
     assert sum(area > 1.0 for area in overlap) <= crossing
+
+
+@pytest.mark.parametrize("size_m", [(10, 12), (15, 20), (12, 40), (25, 30), (6, 7)])
+@pytest.mark.parametrize("height_m", [3.0, 9.0, 18.0])
+def test_a_known_height_is_that_of_the_top_of_the_roof(size_m, height_m):
+    """OpenStreetMap's height; by its storeys the walls have it. Chimneys and plant may be higher."""
+    shape = shapely.box(0, 0, *size_m)
+    for seed in range(8):
+        for of_walls in (False, True):
+            rng = np.random.default_rng(seed)
+            given = [Footprint(shape, height_m, of_walls)]
+            (building,) = lots.buildings_by_rule(given, shape.buffer(50), Polygon(), rng)
+            top_m = building.eaves_m + rise_m(building)
+            assert top_m > height_m if of_walls else top_m == pytest.approx(height_m)
+
+
+@pytest.mark.parametrize(
+    "projection",
+    [
+        "+proj=tmerc +lat_0=0 +lon_0=9 +k=0.9996 +x_0=-177308 +y_0=-5425923 +datum=WGS84 +units=m +no_defs",
+        "+proj=tmerc +lat_0=0 +lon_0=9 +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs",
+        "+proj=utm +zone=33 +ellps=bessel +units=m +no_defs",
+        "+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs",
+    ],
+)
+def test_a_network_keeps_its_place_whatever_its_projection(projection):
+    """PROJ finds EPSG codes for projections that are merely similar, with other origins."""
+    longitude, latitude = (9.1, 50.0) if "33" not in projection else (15.1, 50.0)
+    east, north = pyproj.Transformer.from_crs(4326, projection, always_xy=True).transform(longitude, latitude)
+    location = NetLocation((100.0, 200.0), projection)
+    place, _ = place_of(SceneDesign(), location, (east + 100.0, north + 200.0), "network")
+    np.testing.assert_allclose(place.longitude_latitude_deg, (longitude, latitude), atol=2e-5)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:2263", "EPSG:3857"])
+def test_a_scene_in_feet_or_stretched_metres_is_refused(crs):
+    east, north = pyproj.Transformer.from_crs(4326, crs, always_xy=True).transform(-73.98, 40.75)
+    design = SceneDesign(
+        city="net", net_file="n.net.xml", traffic_file="f.xml", crs=crs, origin_m=(east, north)
+    )
+    with pytest.raises(ValueError, match="`crs` must"):
+        place_of(design, None, (0.0, 0.0), "network")

@@ -12,6 +12,8 @@ from shapely.geometry import Polygon
 from glintrack.core.arrays import Array
 from glintrack.scene.objects import geometry
 
+_PARAPET_M = 0.5  # of flat roofs, above the deck
+_INSET_M = 2.2  # of a mansard roof's flat top from the eaves
 _PANE_OFFSET_M = 0.03  # of panes before the wall, so that rays meet them first
 
 
@@ -66,7 +68,7 @@ def add_building(
         Height of the walls' lower edge relative to the floor. [m]
     """
     footprint = geometry.outline(building.footprint, tolerance_m=0.05)
-    parapet_m = 0.5 if building.roof == "flat" else 0.0
+    parapet_m = _PARAPET_M if building.roof == "flat" else 0.0
     builder.add(building.wall, geometry.walls(footprint, foot_m, building.eaves_m + parapet_m))
     builder.add("glass", _panes(footprint, building))
     match building.roof:
@@ -84,7 +86,7 @@ def add_building(
                 )
             _add_dormers(builder, building, footprint, rng)
         case "mansard":
-            planes, top = geometry.mansard_roof(footprint, building.eaves_m, building.slope_rad, inset_m=2.2)
+            planes, top = geometry.mansard_roof(footprint, building.eaves_m, building.slope_rad, _INSET_M)
             builder.add(building.roof_material, planes)
             builder.add("roof_bitumen", top)
         case "flat":
@@ -92,6 +94,19 @@ def add_building(
             builder.add(building.roof_material, deck)
             builder.add("concrete", parapet)
             _add_plant(builder, building, footprint, rng)
+
+
+def rise_m(building: Building) -> float:
+    """Height of the top of a roof above its eaves, without chimneys and plant. [m]"""
+    footprint = geometry.outline(building.footprint, tolerance_m=0.05)
+    match building.roof:
+        case "flat":
+            return _PARAPET_M
+        case "mansard":
+            planes, _ = geometry.mansard_roof(footprint, 0.0, building.slope_rad, _INSET_M)
+        case _:
+            planes, _ = geometry.gable_or_hip_roof(footprint, 0.0, building.slope_rad, building.roof == "hip")
+    return float(planes[0][:, 2].max(initial=0.0))
 
 
 def _panes(footprint: Polygon, building: Building) -> geometry.Patch:

@@ -186,7 +186,7 @@ def _areas(path: Path, extract: _Extract) -> polygons.Polygons:
         used += bool(parts)
         if kind == "building":
             tagged.append(tags)
-            footprints.extend(polygons.Footprint(part, polygons.height_of(tags)) for part in parts)
+            footprints.extend(polygons.Footprint(part, *polygons.height_of(tags)) for part in parts)
         else:
             grounds.extend((kind, part) for part in parts)
         return True
@@ -197,8 +197,13 @@ def _areas(path: Path, extract: _Extract) -> polygons.Polygons:
             outer = [ways[ref] for ref, role in members if role != "inner" and ref in ways]
             tags = next((own for own in outer if polygons.area_kind(own)[0]), tags)
         if add(tags, members):
+            kind = polygons.area_kind(tags)[0]
             consumed |= {
-                ref for ref, own in ways.items() if polygons.area_kind(own)[0] == polygons.area_kind(tags)[0]
+                ref
+                for ref, role in members
+                # an inner way with tags of its own is an area of its own
+                if polygons.area_kind(ways.get(ref, {}))[0] == kind
+                and (role != "inner" or ways[ref].items() <= tags.items())
             }
     for ref, (_, tags) in extract.ways.items():
         if ref not in consumed:

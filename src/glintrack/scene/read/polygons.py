@@ -1,7 +1,8 @@
 """Read buildings and ground from SUMO's polygons (``.poly.xml``, from polyconvert), by OpenStreetMap's tags.
 
-polyconvert's type is a key and a value, such as ``building.yes``. It writes courtyards of multipolygons as
-buildings: a ring inside another is a courtyard, and a ring inside a courtyard is a building.
+polyconvert's type is a key and a value, such as ``building.yes``, or a name of its type map, such as
+``water``, without ``--osm.keep-full-type``. It writes courtyards of multipolygons as buildings: a ring inside
+another is a courtyard, and a ring inside a courtyard is a building.
 """
 
 import re
@@ -31,6 +32,15 @@ _FEET = re.compile(
 )
 _MAX_HEIGHT_M = 900.0
 TOO_SMALL = "smaller than 8 m²"
+# names of osmPolyconvert.typ.xml that are one kind of ground
+_TYPE_NAMES = {
+    "water": "natural.water",
+    "forest": "natural.wood",
+    "parking": "amenity.parking",
+    "park": "leisure.park",
+    "farm": "landuse.farmland",
+}
+_NAME_ONLY = "types without a value: convert with polyconvert --osm.keep-full-type"
 # kinds of ground, each with OpenStreetMap's keys and values
 _GROUNDS: Mapping[str, Mapping[str, list[str]]] = read_data("traffic", "grounds.toml")
 _GONE = ("demolished", "razed", "removed", "destroyed", "collapsed", "proposed", "planned")
@@ -40,10 +50,11 @@ _MAX_MEAN_NEAR, _MAX_NEAR = 50, 100_000  # touching boxes per building on averag
 
 @dataclass(frozen=True)
 class Footprint:
-    """A building's outline, and its height if known. [m]"""
+    """A building's outline, and its height if known: to the top of the roof, or of its walls only. [m]"""
 
     shape: Polygon
     height_m: float | None
+    of_walls: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,10 +106,14 @@ def read_polygons(path: Path, network: NetLocation | None = None) -> Polygons:
     count, tagged = 0, []
     for element in root.iter("poly"):
         tags = {p.get("key", ""): p.get("value", "") for p in element.iter("param")}
-        key, _, value = element.get("type", "").partition(".")
+        own_type = element.get("type", "")
+        is_filled = element.get("fill", "1") in ("1", "true")  # a river may be a line of type water
+        key, _, value = (_TYPE_NAMES.get(own_type, own_type) if is_filled else own_type).partition(".")
         tags |= {key: value or "yes"}
         tags |= {"height": element.get("height", "")} if element.get("height") else {}
         kind, reason = area_kind(tags)
+        if kind is None and is_filled and key and not value:
+            reason = _NAME_ONLY
         if element.get("geo") in ("true", "1"):
             raise ValueError(
                 f"`{path.name}` must give polygons in metres; got longitudes and latitudes (geo). Convert "
@@ -114,7 +129,7 @@ def read_polygons(path: Path, network: NetLocation | None = None) -> Polygons:
             gone.update([reason])
         elif kind == "building":
             tagged.append(tags)
-            buildings += [Footprint(part, height_of(tags)) for part in parts]
+            buildings += [Footprint(part, *height_of(tags)) for part in parts]
         elif kind is not None:
             grounds += [(kind, part) for part in parts]
     whole, courtyards = _cut_courtyards(buildings, path.name)
@@ -134,6 +149,10 @@ def area_parts(shape: BaseGeometry) -> list[Polygon]:
 def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
     """Kind of an area by OpenStreetMap's tags, None if it is none, and why it is left out."""
     building = tags.get("building", "no")
+    if "building" not in tags and tags.get("natural") == "coastline":
+        return "water", "coastlines: the sea is not drawn"
+    if "building" not in tags and tags.get("waterway") in ("river", "canal"):
+        return "water", "rivers and canals without an outline"
     if any(f"{state}:building" in tags for state in _GONE) and building == "no":
         return "building", "demolished or proposed"
     if tags.get("building:part", "no") != "no" and building == "no":
@@ -158,24 +177,27 @@ def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
     return kind, ""
 
 
-def height_of(tags: Mapping[str, str]) -> float | None:
-    """Height of a building, by its own tag, else by its storeys; None if neither can be read. [m]"""
+def height_of(tags: Mapping[str, str]) -> tuple[float | None, bool]:
+    """Height of a building by its own tag, else of its walls by its storeys, and True for walls; or None. [m]
+
+    OpenStreetMap's ``height`` reaches to the top of the roof; ``building:levels`` leaves that out.
+    """
     given = tags.get("height") or tags.get("est_height", "")
     heights = [_length(text.strip()) for text in given.split(";")]
     if None not in heights:
         height = max(filter(None, heights), default=0.0)
         if 0 < height <= _MAX_HEIGHT_M:
-            return height
+            return height, False
     levels = _levels(tags.get("building:levels", ""))
     if levels and 0 < levels * STOREY_M <= _MAX_HEIGHT_M:
-        return levels * STOREY_M + PLINTH_M
-    return None
+        return levels * STOREY_M + PLINTH_M, True
+    return None, False
 
 
 def unread_heights(buildings: Iterable[Mapping[str, str]]) -> list[str]:
     """Sentence on heights and storeys that cannot be read, as a list; empty if there are none."""
     given = [{key: tags[key]} for tags in buildings for key in ("height", "building:levels") if key in tags]
-    unread = [text for tag in given if height_of(tag) is None for text in tag.values()]
+    unread = [text for tag in given if height_of(tag)[0] is None for text in tag.values()]
     return [f"{len(unread)} heights cannot be read, such as {unread[0][:20]!r}"] if unread else []
 
 

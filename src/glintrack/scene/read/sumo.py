@@ -40,6 +40,8 @@ _MIN_MOTORWAY_SPEED_M_S = 25.0  # of an edge without a type: more than 90 km/h
 _MIN_HEIGHT_RANGE_M = 0.5  # below which a network is flat
 _MAX_LANE_WIDTH_M = 100.0  # walking areas are outlines
 _MOTOR = frozenset({"passenger", "delivery", "bus", "taxi", "private", "truck", "coach"})
+_ON_FOOT = frozenset({"pedestrian", "wheelchair", "bicycle", "scooter"})
+_NO_ROAD = frozenset({"ship", "container", "drone", "aircraft"})
 _RAIL = frozenset({"tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway", "cable_car"})
 
 
@@ -205,7 +207,10 @@ def _is_motorway(path: Path, street_type: str, lane: Element) -> bool:
 
 def _kind(edge: Element, lane: Element) -> LaneKind | None:
     allow, disallow = set(lane.get("allow", "").split()), set(lane.get("disallow", "").split())
-    motor = bool(allow & _MOTOR) if allow else "all" not in disallow and bool(_MOTOR - disallow)
+    if "all" in allow:
+        allow = set()
+    motor = bool(allow - _ON_FOOT - _RAIL - _NO_ROAD) if allow else bool(_MOTOR - disallow)
+    motor = motor and "all" not in disallow
     match edge.get("function", "normal"):
         case "internal":
             return "internal" if motor else None
@@ -217,7 +222,7 @@ def _kind(edge: Element, lane: Element) -> LaneKind | None:
         return "parking"
     if allow and allow <= _RAIL:
         return "rail"
-    if allow and allow <= {"ship", "container", "drone", "aircraft"}:
+    if allow and allow <= _NO_ROAD:
         return None
     return "car" if motor else "walk"
 

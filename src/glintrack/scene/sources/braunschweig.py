@@ -25,6 +25,7 @@ from glintrack.scene.design import SceneDesign
 from glintrack.scene.objects.geometry import polygons
 from glintrack.scene.objects.layout import MARGIN_M, Layout, area_with_margin, expand_extent
 from glintrack.scene.objects.surfaces import RoadNetwork, blocks, road_areas
+from glintrack.scene.read.polygons import Footprint
 from glintrack.scene.read.sumo import NETCONVERT, TRIPS_SEED, SumoRun, load_or_simulate, sumo_home
 from glintrack.scene.sources.lots import buildings_by_rule, garden_trees, pavement_parking, yards
 from glintrack.scene.sources.site import VEHICLE_MARGIN_M, SceneOrigin, Site
@@ -66,7 +67,7 @@ def _layout(
     streets = road_areas(network, area)
     building_rng, ground_rng, tree_rng, parking_rng = rng.spawn(4)
     outlines = [
-        (shape, None if height_m == _UNKNOWN_HEIGHT_M else height_m)
+        Footprint(shape, None if height_m == _UNKNOWN_HEIGHT_M else height_m)
         for shape, height_m in footprints()
         if area.contains(shape.centroid)
     ]

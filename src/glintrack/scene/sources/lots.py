@@ -7,7 +7,7 @@ the rest two to four storeys of 2.9 m.
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -17,15 +17,17 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from glintrack.core.arrays import Array
-from glintrack.scene.objects.buildings import Building
+from glintrack.scene.objects.buildings import Building, rise_m
 from glintrack.scene.objects.geometry import bounding_rectangle, outline, polygons
 from glintrack.scene.objects.layout import ParkedVehicle, heading_of
 from glintrack.scene.objects.plants import Tree, draw_tree
 from glintrack.scene.objects.surfaces import PAVEMENT_M, GroundPatch, RoadNetwork
+from glintrack.scene.read.polygons import Footprint
 
 _STALL_M = (2.5, 5.0)
 _AISLE_M = 6.2
 _TREES_APART_M = 6.0
+_LOWEST_EAVES_M = 2.2
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,7 @@ def street_trees(
 
 
 def _building_by_rule(footprint: Polygon, height_m: float | None, rng: np.random.Generator) -> Building:
-    """Choose a roof, walls and windows for a footprint, and a height by its area where none is known. [m]"""
+    """Choose a roof, walls and windows for a footprint, and walls' height by its area if it is None. [m]"""
     size = footprint.area
     fill = size / shapely.minimum_rotated_rectangle(footprint).area
     draw, slope = rng.random(5), math.radians(rng.uniform(32, 46))
@@ -205,19 +207,29 @@ def _building_by_rule(footprint: Polygon, height_m: float | None, rng: np.random
 
 
 def buildings_by_rule(
-    outlines: Iterable[tuple[Polygon, float | None]],
+    outlines: Iterable[Footprint],
     area: BaseGeometry,
     carriageway: BaseGeometry,
     rng: np.random.Generator,
 ) -> tuple[Building, ...]:
-    """Draw buildings on outlines with known or unknown heights [m], in an area and clear of streets."""
-    clear = carriageway.buffer(0.3)
-    return tuple(
-        _building_by_rule(part, height_m, rng)
-        for shape, height_m in outlines
-        for part in polygons(shape.intersection(area).difference(clear))
-        if part.area > 12
-    )
+    """Draw buildings on outlines, in an area and clear of streets."""
+    clear, found = carriageway.buffer(0.3), []
+    for given in outlines:
+        for part in polygons(given.shape.intersection(area).difference(clear)):
+            if part.area > 12:
+                building = _building_by_rule(part, given.height_m, rng)
+                to_top = given.height_m is not None and not given.of_walls
+                found.append(_lower_walls(building) if to_top else building)
+    return tuple(found)
+
+
+def _lower_walls(building: Building) -> Building:
+    """Put the top of the roof where the walls ended; the roof is flat if they would be below a storey."""
+    eaves_m = building.eaves_m - rise_m(building)
+    if eaves_m < _LOWEST_EAVES_M and building.roof != "flat":
+        building = replace(building, roof="flat", roof_material="roof_bitumen")
+        eaves_m = building.eaves_m - rise_m(building)
+    return replace(building, eaves_m=max(eaves_m, 0.1))
 
 
 def yards(pieces: Sequence[Polygon], built: BaseGeometry, rng: np.random.Generator) -> list[GroundPatch]:

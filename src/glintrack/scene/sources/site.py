@@ -12,6 +12,7 @@ from pyproj.exceptions import CRSError, ProjError
 from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
+from glintrack.io.crs import longitude_latitude
 from glintrack.scene.design import LARGEST_M2, SUMO_PREFIX, SceneDesign
 from glintrack.scene.objects.layout import Layout, expand_extent
 from glintrack.scene.objects.surfaces import RoadNetwork
@@ -23,6 +24,7 @@ from glintrack.scene.traffic import Recording, Traffic
 
 VEHICLE_MARGIN_M = 30.0  # of traffic beyond the window, whose shadows and mirror images reach in
 _STEP_S = 0.1
+_MAX_ABOVE_M = 1.0  # of a mesh above its elevation model
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,13 @@ def given_place(design: SceneDesign) -> SceneOrigin | None:
     """Position of a city by its keys ``crs`` and ``origin_m``, if it has them."""
     if design.crs is None or design.origin_m is None:
         return None
-    return SceneOrigin(design.crs, *design.origin_m)
+    return _metric_place(design.crs, *design.origin_m)
+
+
+def _metric_place(crs: str, easting_m: float, northing_m: float) -> SceneOrigin:
+    """Return a position, or raise ValueError if its CRS does not count metres of the ground there."""
+    longitude_latitude(crs, np.array([easting_m]), np.array([northing_m]))
+    return SceneOrigin(crs, easting_m, northing_m)
 
 
 def place_of(
@@ -133,10 +141,10 @@ def place_of(
         raise ValueError(
             f"`net_file` must have a projection that PROJ knows; got {location.projection!r}."
         ) from error
-    code = crs.to_epsg(min_confidence=20)
+    code = crs.to_epsg(min_confidence=70)  # PROJ is 25 % confident that another origin or scale is the same
     known = f"EPSG:{code}" if code else location.projection
     east, north = (centre_m[i] - location.offset_m[i] for i in range(2))
-    return SceneOrigin(known, east, north), ()
+    return _metric_place(known, east, north), ()
 
 
 def read_traffic(
@@ -200,6 +208,35 @@ def mesh_site(design: SceneDesign) -> Site:
     place, more = place_of(design, None, (0.0, 0.0), "mesh has no position")
     recording = Recording(RoadNetwork((), ()), traffic)
     return Site(recording, place, extent, mesh=mesh, assumptions=said + more)
+
+
+def height_of_zero(mesh: NamedMesh, terrain: xr.Dataset, origin_height_m: float) -> float:
+    """Height of the zero of a mesh's heights in those of an elevation model: 0, or the one of its origin. [m]
+
+    Parameters
+    ----------
+    mesh
+        Mesh in ENU, its heights relative to the ground at ENU (0, 0) or those of the elevation model.
+    terrain, origin_height_m
+        Heights relative to the ground at ENU (0, 0), and that point's height in the elevation model. [m]
+
+    Raises
+    ------
+    ValueError
+        If the mesh's ground lies higher or lower than both by more than 1 m in the median.
+    """
+    above_m = ground_under(mesh, terrain["x"].values, terrain["y"].values) - terrain["height"].values
+    if not np.isfinite(above_m).any():
+        return origin_height_m
+    median_m = float(np.nanmedian(above_m))
+    away_m, zero_m = min((abs(median_m), origin_height_m), (abs(median_m - origin_height_m), 0.0))
+    if away_m <= _MAX_ABOVE_M:
+        return zero_m
+    raise ValueError(
+        f"`scene.mesh_file` must have its ground at the heights of `scene.dem_file`, or at these less "
+        f"{origin_height_m:.1f} m, the height of its origin; got {median_m + origin_height_m:+.1f} and "
+        f"{median_m:+.1f} m above them. Move the mesh, or leave dem_file out: the mesh's own ground is taken."
+    )
 
 
 def mesh_terrain(mesh: NamedMesh, bounds_m: tuple[float, float, float, float]) -> xr.Dataset:

@@ -237,8 +237,7 @@ def _layout(
 ) -> Layout:
     streets = road_areas(network, area)
     building_rng, ground_rng, tree_rng, parking_rng, fill_rng = rng.spawn(5)
-    outlines = [(f.shape, f.height_m) for f in found.footprints]
-    buildings = lots.buildings_by_rule(outlines, area, streets.carriageway, building_rng)
+    buildings = lots.buildings_by_rule(found.footprints, area, streets.carriageway, building_rng)
     built = unary_union([b.footprint for b in buildings])
     patches, parked, wood = _grounds(found, streets.all, built, ground_rng)
     covered = unary_union([shape for kind, shape in found.grounds if kind != "lawn"])
