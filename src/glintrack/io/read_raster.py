@@ -83,7 +83,9 @@ def read_raster(path: Path, name: str, requirement: str = "a raster", *, north_u
         dtype = np.result_type(*(file.dtypes[k - 1] for k in numbers))
         names = [file.descriptions[k - 1] for k in numbers]
         transform = file.transform
-        if np.issubdtype(dtype, np.integer):
+        is_colour = kinds[:3] == _COLOURS and np.issubdtype(dtype, np.unsignedinteger)
+        is_picture = is_colour or kinds == (ColorInterp.palette,)
+        if is_picture:
             # one mask for all bands: a pixel with no-data in blue alone is a colour
             values, hidden = file.read(numbers), file.dataset_mask() == 0
             if kinds == (ColorInterp.palette,):

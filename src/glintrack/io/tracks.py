@@ -155,6 +155,12 @@ def read_mot(path: Path, name: str, rate_hz: float | None, grid: Geotransform | 
                     "`truth` must have the visible fraction, 0 to 1, in column 9 as MOT16 has; got "
                     f"{values[:, 8].max():g} in {path}. Leave out columns 7 to 9 of another layout."
                 )
+            if not np.isin(values[:, 6], (0, 1)).all():
+                raise ValueError(
+                    "`truth` must have a flag of 0 or 1, a class and a visible fraction in columns 7 to 9 as "
+                    f"MOT16 has; got those of another layout, such as UAVDT's, in {path}. Leave out columns "
+                    "7 to 9, and rows of what is no motor vehicle."
+                )
             table["visible_fraction"], layout, classes = values[:, 8], "MOT16", _VEHICLES
         elif columns == 10 and _is_visdrone(values):
             layout, classes = "VisDrone", _VISDRONE_VEHICLES
