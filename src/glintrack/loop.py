@@ -172,7 +172,8 @@ def _expose(
 ) -> TrueFrame:
     """Move the rendered light over the elements during the exposure, and report the pose with its error."""
     exposure_s = 1e-3 * sensor.design.integration_time_ms
-    motion = sensing.image_motion(sensor.camera, scenario.flight.pose, rendered.time_s, exposure_s)
+    flight, time_s = scenario.flight, rendered.time_s
+    motion = sensing.image_motion(sensor.camera, flight.pose, time_s, exposure_s, flight.stare_point[2])
     light = sensing.smear(rendered.light, motion)(sensor.channels)
     return TrueFrame(
         sensor=sensor,

@@ -79,3 +79,36 @@ def test_what_a_case_may_say():
     within = r"`sensor.auto_exposure.longest_ms` must end within a frame's 100"
     with pytest.raises(ValidationError, match=within):
         SensorDesign.model_validate({"auto_exposure": {"quantile": 0.99, "longest_ms": 200.0}})
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        {
+            "full_well_e": 100e3,
+            "bits": 12,
+            "gain_e_per_count": 5.0,
+        },  # the converter is full long before the well
+        {"full_well_e": 30e3, "dark_current_e_per_s": 2e6},  # half of the well is dark current at 7 ms
+    ],
+)
+def test_the_exposure_settles_below_what_fills_well_or_converter(camera):
+    sensor = sensor_of(
+        layout="pan", integration_time_ms=0.02, auto_exposure={"quantile": 0.99, "longest_ms": 20.0}, **camera
+    )
+    for _ in range(12):
+        measured = readings(sensor, RADIANCE)
+        sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))
+    design = sensor.design
+    dark_e = 1e-3 * design.dark_current_e_per_s * design.integration_time_ms
+    light_e = RADIANCE * sensor.electrons_per_radiance
+    assert light_e + dark_e == pytest.approx(FULL_SHARE * design.saturation_e, rel=0.03)
+    assert measured.mean() == pytest.approx(RADIANCE, rel=0.01)
+
+
+@pytest.mark.parametrize("bits", [12, 16, 20])
+def test_dark_readings_are_not_cut_off_at_a_fine_gain(bits):
+    sensor = sensor_of(layout="pan", full_well_e=19e3, read_noise_e=60.0, bits=bits)
+    dark_e = readings(sensor, 0.0) * sensor.electrons_per_radiance
+    assert dark_e.mean() == pytest.approx(0, abs=4 * 60 / 64)
+    assert dark_e.std() == pytest.approx(sensor.design.dark_noise_e, rel=0.05)

@@ -163,3 +163,11 @@ def test_light_lost_at_a_mirror_is_lost_to_the_spectrometer_alone():
     whole, half = (build_sensor(plain_sensor(mirror_throughput=share), grid) for share in (1.0, 0.5))
     np.testing.assert_allclose(half.band_electrons_per_radiance, 0.5 * whole.band_electrons_per_radiance)
     assert half.electrons_per_radiance == whole.electrons_per_radiance
+
+
+def test_a_stated_exposure_stays_though_it_is_the_ready_designs():
+    derived = SensorDesign(ready="imx249", f_number=11).integration_time_ms
+    own = SensorDesign(ready="imx249").integration_time_ms
+    stated = SensorDesign(ready="imx249", f_number=11, integration_time_ms=own)
+    assert derived != own
+    assert stated.replace({"prnu": 0.01}).integration_time_ms == own

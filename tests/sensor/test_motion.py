@@ -73,3 +73,10 @@ def test_little_motion_changes_nothing_and_pixels_are_left():
 def test_a_still_camera_has_no_path():
     path = image_motion(CAMERA, lambda t: replace(flying_east(0.0), up_m=2000.0), 1.0, 0.1)
     np.testing.assert_allclose(path, 0, atol=1e-9)
+
+
+def test_a_long_path_is_a_box_and_not_separate_images():
+    path = image_motion(CAMERA, flying_east, 5.0, 0.6)  # eighty elements
+    line = motion_kernel(path).sum(axis=0)
+    inside = line[8:-8]
+    np.testing.assert_allclose(inside, inside.mean(), rtol=0.15)

@@ -308,3 +308,18 @@ def test_matrices_that_no_polarizer_has_are_refused(wave_plate_file, change, mes
     )
     with pytest.raises(ValueError, match=message):
         from_table(bad)
+
+
+def test_chief_rays_beyond_the_table_are_refused():
+    square = stokes.linear_diattenuator(1.0, 0.0)
+    polarizer = Polarizer(ENDS, np.array([[square] * 2] * 2), np.array([0.0, 0.2]))
+    wide = plain_sensor(
+        rows=8,
+        columns=8,
+        layout="0-45-90-135",
+        polarizer_incidence="chief_ray",
+        focal_length_mm=1.0,
+        pitch_um=100.0,
+    )
+    with pytest.raises(ValueError, match=r"largest angle of the chief rays, 2\d\.\d°; got 11\.5°"):
+        departure_at_incidence(wide, polarizer, ENDS, np.ones(2))

@@ -243,3 +243,14 @@ def test_the_white_level_of_few_bits_in_a_container_of_12():
     assert white_level(np.array([[4092, 8]], np.uint16)) == 4092  # 10 bits, two low ones are 0
     assert white_level(np.array([[65472, 64]], np.uint16)) == 65472
     assert white_level(np.array([[1023, 1]], np.uint16)) == 1023
+
+
+@pytest.mark.parametrize("counts_per_light", [0.004, 250.0])
+def test_the_dolp_floor_follows_the_calibrations_unit(counts_per_light):
+    """Light of 400 counts has a DoLP, and light in the noise has none, whatever the rows count."""
+    rows = counts_per_light * rows_of(LAYOUTS["0-45-90-135"])
+    design = RawDesign(black_level=BLACK, dark_noise=2.0)
+    for counts, is_known in ((400.0, True), (1.0, False)):
+        raw = raw_of(counts / counts_per_light * np.array([1.0, 0.3, 0.0]), rows)
+        found = measure_polarization(raw, design, Analysers(rows, np.full((ROWS, COLUMNS), float(BLACK))))
+        assert bool(np.isfinite(found["dolp"]).all()) == is_known

@@ -6,7 +6,7 @@ import xarray as xr
 
 from glintrack.camera import Pose, ground_points, look_at
 from glintrack.core.records import NONE_SERVED, SpectralQuery
-from glintrack.sensor import expose, fill_dark_mirrors, measure_spectra, serve, spectrometer
+from glintrack.sensor import expose, fill_dark_mirrors, measure_spectra, serve
 from tests.sensor.light import GRID, picture, sensor_of, uniform
 
 POSE = look_at(Pose(0.0, -500.0, 1500.0, kind="reported"), (0.0, 0.0, 0.0))
@@ -51,13 +51,32 @@ def test_the_slit_smears_a_line_over_its_neighbours():
     assert seen["relay"].sum() == pytest.approx(seen["etalon"].sum(), rel=0.01)
 
 
-def test_a_well_that_is_full_clips_the_spectrum(monkeypatch):
-    monkeypatch.setattr(spectrometer, "FULL_WELL_E", 1000.0)
-    sensor = sensor_of()
-    queries = (query_at(sensor, 3, 3),)
-    _, spectra = spectra_of(sensor, queries, uniform(sensor, (200.0, 0, 0)))
-    full = 1000 / sensor.band_electrons_per_radiance
-    assert np.all(spectra["radiance"][0] < 1.1 * full)
+def test_bright_spectra_keep_their_shape_and_dark_current_is_noise():
+    """Reads are added up, however many electrons there are."""
+    slope = np.linspace(20, 200, len(GRID))
+    found = {}
+    for dark_e_per_s in (0.0, 1e9):
+        sensor = sensor_of(spectrometer_integration_time_ms=90.0, dark_current_e_per_s=dark_e_per_s)
+        queries = tuple(query_at(sensor, 5, column) for column in range(30))
+        _, spectra = spectra_of(sensor, queries, uniform(sensor, (1, 0, 0), slope))
+        found[dark_e_per_s] = spectra
+        expected = np.interp(spectra["wavelength"].values, GRID, slope)
+        np.testing.assert_allclose(spectra["radiance"].mean("query")[2:-2], expected[2:-2], rtol=0.02)
+    assert (found[1e9]["noise"] > 1.2 * found[0.0]["noise"]).all()
+    spread = found[1e9]["radiance"].std("query") / found[1e9]["noise"].mean("query")
+    assert 0.8 < float(spread.mean()) < 1.2
+
+
+def test_a_narrow_pan_band_between_two_bands_is_filled_from_the_spectrum():
+    sensor = sensor_of(
+        band_um=(0.56, 0.64), spectrometer_bandwidth_um=0.1, fill_dark_mirrors="spectrum", **BRIGHT
+    )
+    queries = (query_at(sensor, 5, 9),)
+    light = uniform(sensor, (50.0, 0, 0))
+    served, spectra = spectra_of(sensor, queries, light)
+    frame = expose(light, sensor, served, np.random.default_rng(1))
+    filled = fill_dark_mirrors(frame, served, spectra, sensor)["pan"].values
+    assert filled[5, 9] == pytest.approx(np.nanmean(frame["pan"].values), rel=0.02)
 
 
 def test_etalons_serve_a_column_twice_and_find_a_smooth_spectrum():

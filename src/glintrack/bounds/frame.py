@@ -83,12 +83,6 @@ def sample_electrons(
     return read_out(light, sensor, rng) * (one[:rows, :columns] * sensor.pattern.known_gain)
 
 
-def full_electrons(sensor: Sensor) -> float:
-    """Electrons at which an element or its converter saturates. [e]"""
-    design = sensor.design
-    return min(float(design.full_well_e), (2.0**design.bits - 1) * float(design.electrons_per_count))
-
-
 def vehicles_on(hits: Hits) -> Int[Array, "row column"]:
     """Highest id of the moving vehicles that the rays of each element hit; −1 for none."""
     highest = np.maximum.reduceat(hits.vehicle_id, hits.first[:-1]).reshape(hits.rows, hits.columns)

@@ -29,7 +29,6 @@ from glintrack.bounds.evidence import (
     superpixel_polarization,
 )
 from glintrack.bounds.finder import DIRECTIONS, FOOTPRINTS_M
-from glintrack.bounds.frame import full_electrons
 from glintrack.core.arrays import Array
 from glintrack.sensor import Sensor, SensorDesign
 
@@ -81,7 +80,7 @@ def ideal_observer(
         Random generator of the draws of DoLP.
     """
     probability, d_prime = np.zeros(len(vehicles)), np.zeros(len(vehicles))
-    frames, design, full_e = (without_e, present_e), sensor.design, full_electrons(sensor)
+    frames, design, full_e = (without_e, present_e), sensor.design, sensor.design.saturation_e
     means = [np.minimum(mean, full_e) for mean in frames]
     read = [(mean, design.noise_variance_e2(mean)) for mean in means]
     for k, rows, columns in find_changes(*frames, nearest, vehicles, design):

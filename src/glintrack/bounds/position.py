@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.bounds.evidence import dolp_variance
-from glintrack.bounds.frame import full_electrons
 from glintrack.bounds.ideal_observer import dolp_of, find_changes, is_in_group
 from glintrack.camera import Pose
 from glintrack.core.arrays import Array
@@ -94,7 +93,7 @@ def position_information(
     sensor
         The sensor.
     """
-    full, design = full_electrons(sensor), sensor.design
+    full, design = sensor.design.saturation_e, sensor.design
     present, east, north = (np.minimum(e, full) for e in expected_e)
     out = np.zeros((len(vehicles), 2, 2))
     frames = [(e, design.noise_variance_e2(e)) for e in (present, east, north)]

@@ -16,7 +16,6 @@ from glintrack.bounds.frame import (
     ExposedFrame,
     ObservedFrame,
     element_points,
-    full_electrons,
     mean_electrons,
     sample_electrons,
     traffic_mask,
@@ -92,6 +91,13 @@ class BudgetRecorder:
     def finish(self) -> None:
         """Wait for the frame that is being measured, before `frames` are read."""
         self._task.wait()
+
+    def end_at(self, frames: int) -> None:
+        """Drop frames from an index on, which an interrupt left incomplete."""
+        self.finish()
+        for found in (self.frames, self.unpolarized):
+            for group, measured in found.items():
+                found[group] = [one for one in measured if one.index < frames]
 
     def _measure(self, frame: ObservedFrame, past: tuple[ExposedFrame, ...], with_positions: bool) -> None:
         hits, camera = frame.hits, self.observer.camera
@@ -173,7 +179,7 @@ class BudgetRecorder:
         spacing_m: float,
     ) -> dict[str, tuple[PredictedBackground, Array]]:
         """Backgrounds by stage, each with the places of the finder's cells in the frame at its pose."""
-        sensor, full = self.sensor, full_electrons(self.sensor)
+        sensor, full = self.sensor, self.sensor.design.saturation_e
         ground_m, area_m = self._ground_m, self.observer.city.extent_m
         true_cells, reported_cells = (
             cell_places(self.observer.camera, pose, ground_m, area_m, spacing_m)

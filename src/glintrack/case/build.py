@@ -18,7 +18,7 @@ from glintrack.render import Observer, Sky, unpack_sky
 from glintrack.render.frame import FrameView, GroundGrid
 from glintrack.render.observer import FrameRadiance
 from glintrack.scene import City, build_scene
-from glintrack.sensor import Sensor, build_sensor, read_lens
+from glintrack.sensor import Sensor, build_sensor, image_motion, read_lens
 
 
 @dataclass(frozen=True)
@@ -167,6 +167,15 @@ def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | 
         )
         grid = GroundGrid(len(north), len(east), place, rectify)
     light = FrameRadiance(observer.trace(snapshot, pose), observer.sky, city.materials)
+    exposure_s = 1e-3 * case.sensor.integration_time_ms
+    motion = image_motion(scenario.sensor.camera, flight.pose, time_s, exposure_s, flight.stare_point[2])
     return FrameView(
-        observer, pose, radiance=light, frame=frame, time_s=time_s, band_um=case.sensor.band_um, grid=grid
+        observer,
+        pose,
+        radiance=light,
+        frame=frame,
+        time_s=time_s,
+        band_um=case.sensor.band_um,
+        motion=motion,
+        grid=grid,
     )

@@ -198,7 +198,8 @@ def ground_light(case: Case) -> ElementLight:
     white_e = radiance * photon_gain(sensor, um, response)
     passed = haze_transmittance(case)
     haze_e = white_e * AIRLIGHT * (1 - passed)
-    fill = (white_e * passed * WHITE + haze_e) / sensor.full_well_e
+    dark_e = 1e-3 * sensor.dark_current_e_per_s * sensor.integration_time_ms
+    fill = (white_e * passed * WHITE + haze_e + dark_e) / sensor.saturation_e
     automatic, factor = sensor.auto_exposure, 1.0
     if automatic.quantile:  # the exposure that the light would lead to
         longest = automatic.longest_ms / sensor.integration_time_ms
@@ -256,12 +257,14 @@ def motion_quantities(case: Case, fastest_m_s: float = CITY_SPEED_M_S) -> dict[s
         sun_azimuth = sun_direction(case.atmosphere)[1]
         path = Flight(flight, sun_azimuth, seed=case.seed)
         times_s = np.linspace(path.times_s[0], path.times_s[-1], 5)
-        moved = [np.ptp(image_motion(camera, path.pose, t, exposure_s, samples=9), axis=0) for t in times_s]
+        up_m = flight.stare_up_m
+        paths = [image_motion(camera, path.pose, t, exposure_s, up_m, samples=9) for t in times_s]
+        moved = [np.ptp(one, axis=0) * len(one) / (len(one) - 1) for one in paths]
         steady = Flight(flight.model_copy(update={"jitter_rms_urad": 0.0}), sun_azimuth)
         now, after = (steady.pose(times_s[2] + k / flight.rate_hz) for k in (0, 1))
         on_axis = ground_points(camera, now, camera.principal_point, flight.stare_up_m)
         step = np.abs(project(camera, after, on_axis) - camera.principal_point) / size  # of the array
-        found["platform_blur_elements"] = 9 / 8 * float(np.hypot(*np.transpose(moved)).max())
+        found["platform_blur_elements"] = float(np.hypot(*np.transpose(moved)).max())
         found["overlap"] = float(np.prod(np.maximum(1 - step, 0)))
         in_view_s = math.inf if step.max() < 1e-9 else float(1 / step.max() / flight.rate_hz)
         found["ground_dwell_s"] = in_view_s

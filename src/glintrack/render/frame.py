@@ -62,6 +62,8 @@ class FrameView:
         Number of the frame in the flight, and its time. [s]
     band_um
         Default band of `render_product`. [µm]
+    motion
+        Path of the image over the exposure, from `sensor.image_motion`. [element]
     grid
         Ground grid of rectified frames; None for camera geometry.
     """
@@ -72,6 +74,7 @@ class FrameView:
     frame: int
     time_s: float
     band_um: tuple[float, float]
+    motion: Float[Array, "sample 2"]
     grid: GroundGrid | None = None
 
     @property

@@ -83,7 +83,9 @@ def integration_time(known: Mapping[str, Any]) -> float:
         * (1.0 if has_unpolarized else 0.5 * known["polarizer_transmittance"])
         * max(_relative_signal(band_um, efficiency) for band_um in _element_bands_um(known, kinds))
     )
-    time_ms = _EXPOSURE_MS * (known["full_well_e"] / _FULL_WELL_E) / max(light, 1e-9)
+    gain = known["gain_e_per_count"]
+    full_e = min(known["full_well_e"], gain * 2 ** known["bits"] if gain else math.inf)
+    time_ms = _EXPOSURE_MS * (full_e / _FULL_WELL_E) / max(light, 1e-9)
     return _rounded(min(time_ms, MAX_EXPOSURE_MS, 0.9e3 / known["max_frame_rate_hz"]))
 
 

@@ -151,12 +151,12 @@ class SensorDesign(Design):
     full_well_e: float = Field(default_factory=derive.full_well, gt=0, le=1e12)
     """Electrons an element can hold; derived."""
     max_frame_rate_hz: float = Field(default=10.0, gt=0, le=1e4, description="Highest readout rate of frames")
-    integration_time_ms: float = Field(default_factory=derive.integration_time, gt=0, le=1000)
-    """Exposure of a frame; derived: white paint in sunlight half fills the well."""
-    auto_exposure: AutoExposure = AutoExposure()
     gain_e_per_count: float | None = Field(default=None, gt=0, le=1e9)
     """Electrons a count; the full well over all counts if left out."""
     bits: int = Field(default=14, ge=1, le=24, description="Of the quantizer")
+    integration_time_ms: float = Field(default_factory=derive.integration_time, gt=0, le=1000)
+    """Exposure of a frame; derived: white paint in sunlight half fills the well."""
+    auto_exposure: AutoExposure = AutoExposure()
     read_noise_e: float = Field(default_factory=derive.read_noise, ge=0, le=1e6, description="RMS; derived")
     dark_current_e_per_s: float = Field(default=0.0, ge=0, le=1e9, description="Mean over the elements")
     prnu: float = Field(default=0.0, ge=0, le=0.5, description="RMS of the elements' relative gains")
@@ -257,7 +257,9 @@ class SensorDesign(Design):
         if not self.ready:
             return values
         own = SensorDesign(ready=self.ready)
-        kept = {"ready", *(derive.ORIGINS if self.pitch_um != own.pitch_um else ())}
+        # a derived value of the ready design changes with its other keys, where a stated one does not
+        changed = self.pitch_um != own.pitch_um
+        kept = {"ready", *(key for key in derive.ORIGINS if changed or key not in own.model_fields_set)}
         return {name: v for name, v in values.items() if name in kept or v != getattr(own, name)}
 
     @property
@@ -291,6 +293,17 @@ class SensorDesign(Design):
     def electrons_per_count(self) -> float:
         """Gain of the quantizer."""
         return self.gain_e_per_count or self.full_well_e / 2**self.bits
+
+    @property
+    def saturation_e(self) -> float:
+        """Electrons at which an element or its converter is full."""
+        return min(self.full_well_e, (2**self.bits - 1) * self.electrons_per_count)
+
+    @property
+    def pedestal_counts(self) -> int:
+        """Counts of the converter below zero, so that dark noise is not cut off."""
+        spread_e = math.hypot(self.dark_noise_e, self.dsnu_e)
+        return max(64, math.ceil(6 * spread_e / self.electrons_per_count))
 
     @property
     def pitch_m(self) -> float:

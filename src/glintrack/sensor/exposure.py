@@ -9,7 +9,6 @@ t' = t · share · well/q. The signal of a full element is unknown, so that expo
 at most, frame by frame.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -23,7 +22,7 @@ from glintrack.core.records import Mosaic, Radiance, ServedQueries
 from glintrack.core.schema import RADIANCE, check
 from glintrack.sensor.demosaicking import demosaic, polarizer_centroid
 from glintrack.sensor.layouts import Superpixel, pan_element, places
-from glintrack.sensor.lens_kernels import lens_kernels, through_lens, with_wings
+from glintrack.sensor.lens_kernels import aperture_weights, lens_kernels, through_lens, with_wings
 from glintrack.sensor.sensor import Sensor, noise_equivalent_radiance
 from glintrack.stokes import rotate_qu
 
@@ -110,10 +109,8 @@ def light_on_elements(light: Array, sensor: Sensor) -> Float[Array, "plane row c
     if fine > 1:
         kernels = lens_kernels(sensor.design, sensor.wavelength_um, sensor.channels, fine)
     own = tuple(kernels[channel] for channel, _ in sensor.planes)
-    # the share of each cell along an element under its aperture, in the middle
-    half, edges = 0.5 * math.sqrt(sensor.design.fill_factor), np.linspace(-0.5, 0.5, fine + 1)
-    covered = np.maximum(np.minimum(edges[1:], half) - np.maximum(edges[:-1], -half), 0)
-    on_elements = through_lens(planes, own, fine, covered / covered.sum())
+    weights = aperture_weights(sensor.design.oversampling, sensor.design.fill_factor, fine)
+    on_elements = through_lens(planes, own, fine, weights)
     for k, kernel in enumerate(own):
         on_elements[k] = with_wings(on_elements[k], sensor.design, kernel.far_share, kernel.half_side_um)
     return on_elements
@@ -174,7 +171,6 @@ def label_frame(
     )
 
 
-PEDESTAL_COUNTS = 64  # of the converter below zero, so that dark noise is not cut off
 MAX_MEAN_WELLS = 10.0  # full wells: elements are full for certain above that
 BLOCK_ROWS = 32
 _MAX_MEAN_E = 1e18  # of NumPy's Poisson deviates
@@ -244,7 +240,7 @@ def _counts_e(light_e: Array, sensor: Sensor, rows: slice, rng: np.random.Genera
     if design.read_noise_e > 0:
         electrons += design.read_noise_e * rng.standard_normal(electrons.shape, dtype=np.float32)
     counts = np.floor(electrons / design.electrons_per_count + 0.5)
-    return np.clip(counts, -PEDESTAL_COUNTS, 2**design.bits - 1) * design.electrons_per_count
+    return np.clip(counts, -design.pedestal_counts, 2**design.bits - 1) * design.electrons_per_count
 
 
 def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: ServedQueries) -> Mosaic:
@@ -293,8 +289,9 @@ def next_exposure_ms(sensor: Sensor, measured: Float[Array, "row column"]) -> fl
     side = sensor.side
     rows, columns = (n // side for n in measured.shape)
     electrons = measured * np.tile(sensor.electrons_per_reading, (rows, columns)) * sensor.pattern.known_gain
+    electrons = electrons + sensor.pattern.known_offset_e  # the well fills with dark current too
     quantile_e = max(float(np.quantile(electrons, automatic.quantile)), 1.0)
-    change = FULL_SHARE * design.full_well_e / quantile_e
+    change = FULL_SHARE * design.saturation_e / quantile_e
     change = min(max(change, 1 / MAX_STEP), MAX_STEP)
     return min(max(design.integration_time_ms * change, MIN_EXPOSURE_MS), design.longest_integration_time_ms)
 

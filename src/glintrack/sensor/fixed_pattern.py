@@ -1,5 +1,6 @@
 """Differences between elements (gain, offset, polarizer, incidence, fall-off) and their calibration."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +52,13 @@ def departure_at_incidence(
     if design.polarizer_incidence == "normal" or not design.has_stokes:
         return None
     incidence, azimuth = chief_rays(design)
+    known = polarizer.incidence_rad
+    if len(known) > 1 and incidence.max() > known[-1] + 1e-9:
+        raise ValueError(
+            f"`sensor.polarizer` must be tabulated up to the largest angle of the chief rays, "
+            f"{math.degrees(incidence.max()):.1f}°; got {math.degrees(known[-1]):.1f}°. Take a longer "
+            "lens, or polarizer_incidence = 'normal'."
+        )
     turn, covered = np.zeros(incidence.shape), np.zeros(incidence.shape)
     side = len(design.superpixel)
     used = weights > 0

@@ -120,6 +120,7 @@ def navigate(true_pose: Pose, error: Float[Array, "6"]) -> Pose:
     return replace(true_pose, **changed, kind="reported")
 
 
+MAX_MOTION_SAMPLES = 4096
 MIN_MOTION_ELEMENTS = 0.05  # a smaller RMS motion blurs less than a hundredth of the lens's spot
 
 
@@ -142,7 +143,7 @@ def image_motion(
     ground_m
         Height of the ground on the optical axis. [m]
     samples
-        Number of instants, evenly over the exposure.
+        Number of instants, evenly over the exposure, at least; with as many as two per element of the path.
 
     Returns
     -------
@@ -152,8 +153,15 @@ def image_motion(
     target = ground_points(camera, centre, camera.principal_point, ground_m)
     if not np.isfinite(target).all():  # looking at the sky: a very far point
         target = ground_points(camera, centre, camera.principal_point, centre.up_m + 1e6)
-    instants = time_s + integration_s * ((np.arange(samples) + 0.5) / samples - 0.5)
-    path = np.array([project(camera, pose_at(t), target) for t in instants])
+
+    def path_at(count: int) -> Array:
+        instants = time_s + integration_s * ((np.arange(count) + 0.5) / count - 0.5)
+        return np.array([project(camera, pose_at(t), target) for t in instants])
+
+    path = path_at(samples)
+    needed = math.ceil(2 * float(np.hypot(*np.diff(path, axis=0).T).sum()))
+    if needed > samples:  # fewer would be as many separate images
+        path = path_at(min(needed, MAX_MOTION_SAMPLES))
     return path - path.mean(axis=0)
 
 

@@ -152,6 +152,8 @@ def measure_polarization(
     gain = design.gain or 1.0
     stokes = demosaic(readings, layout, design.demosaic) @ inverse.T.astype(np.float32) * np.float32(gain)
     noise = float(np.hypot.reduce(inverse[0])) * design.dark_noise * gain
+    if calibration is not None:  # its rows are counts per unit of light
+        noise /= float(np.nanmedian(np.abs(calibration.row[..., 0])))
     about = {
         "time_s": float(time_s),
         "dolp_floor": NOISE_FLOORS * noise,

@@ -289,7 +289,7 @@ def summary(sensor: Sensor) -> list[tuple[str, str]]:
     """Names and values of derived quantities: field of view, electrons, noise, polarizers."""
     design = sensor.design
     reading = sensor.electrons_per_radiance
-    full, half = design.full_well_e / reading, design.full_well_e / 2
+    full, half = design.saturation_e / reading, design.saturation_e / 2
     kernel = sensor.kernels[0]
     node = kernel.strength.shape[0] // 2
     rows = [

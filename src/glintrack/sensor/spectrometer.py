@@ -18,7 +18,7 @@ from glintrack.core.schema import RADIANCE, check
 from glintrack.devices import etalon
 from glintrack.sensor.sensor import Sensor
 
-FULL_WELL_E = 2e6  # of a band's pixel, several reads added up
+MAX_BAND_E = 1e18  # of NumPy's Poisson deviates; a band's electrons are the sum of as many reads as they need
 SPREAD_ELEMENTS = 2  # of the point spread to either side that contribute to a spectrum
 
 
@@ -59,7 +59,7 @@ def serve(queries: tuple[SpectralQuery, ...], sensor: Sensor, reported_pose: Pos
 def measure_spectra(
     served: ServedQueries, radiance: Radiance, sensor: Sensor, rng: np.random.Generator
 ) -> xr.Dataset:
-    """Spectra of the served queries, with shot and read noise.
+    """Spectra of the served queries, with shot noise, read noise, and that of the dark current.
 
     Parameters
     ----------
@@ -82,14 +82,14 @@ def measure_spectra(
         light = _through_lens(served.rows[on], served.columns[on], radiance, sensor)
         gain = sensor.band_electrons_per_radiance
         expected_e = light * gain if sweep is None else light @ sweep.T
-        light_e = rng.poisson(np.clip(expected_e, 0, 10 * FULL_WELL_E))
-        electrons = np.minimum(light_e, FULL_WELL_E).astype(float)
-        electrons = electrons + read_e * rng.standard_normal(electrons.shape)
+        dark_e = 1e-3 * sensor.design.dark_current_e_per_s * sensor.design.spectrometer_integration_time_ms
+        collected_e = rng.poisson(np.clip(expected_e + dark_e, 0, MAX_BAND_E))
+        electrons = collected_e - dark_e + read_e * rng.standard_normal(expected_e.shape)
         if sweep is None:
             spectrum[on] = electrons / gain
-            noise[on] = np.sqrt(np.maximum(electrons, 0) + read_e**2) / gain
+            noise[on] = np.sqrt(np.maximum(electrons, 0) + dark_e + read_e**2) / gain
         else:  # inverted with smoothing
-            sigma = np.sqrt(np.maximum(electrons, 1) + read_e**2)
+            sigma = np.sqrt(np.maximum(electrons, 1) + dark_e + read_e**2)
             found = etalon.reconstruct(electrons, sweep, sensor.band_centre_um, sigma)
             spectrum[on], noise[on] = found["radiance"].values, found["radiance_sigma"].values
     queries, query_dims = served.queries, ("query", "wavelength")
@@ -129,8 +129,9 @@ def fill_dark_mirrors(
     pan = frame["pan"].values.copy()
     rows, columns = served.rows[on], served.columns[on]
     if way == "spectrum":
-        response = np.interp(sensor.band_centre_um, sensor.wavelength_um, sensor.pan_weights[0])
-        pan[rows, columns] = spectra["radiance"].values[on] @ (response / response.sum())
+        weights, centres = sensor.pan_weights[0], sensor.band_centre_um
+        at_grid = [np.interp(sensor.wavelength_um, centres, one) for one in spectra["radiance"].values[on]]
+        pan[rows, columns] = np.array(at_grid) @ (weights / weights.sum())
     elif way == "polarizers":
         pan[rows, columns] = frame["stokes_radiance"].values[rows, columns, 0]
     else:
