@@ -157,3 +157,26 @@ def test_bad_input_is_one_sentence(three_cars, monkeypatch):
 def test_a_loss_budget_has_no_group_twice(layout, groups):
     wavelength_um = np.linspace(0.4, 1.0, 13)
     assert element_groups(build_sensor(Case().sensor.replace({"layout": layout}), wavelength_um)) == groups
+
+
+def test_the_budget_of_an_interrupted_flight_is_that_of_its_complete_frames(three_cars):
+    """The interrupt comes between the channels of a measured frame."""
+    keys = {"channels": ["pan", "dolp"]}
+    shorter = case(flight={"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 12, "rate_hz": 2.0}, **keys)
+    budgets = []
+    for design, stop in ((case(**keys), 12), (shorter, 99)):
+        steps = FlightBudget(design)
+
+        def watch(epoch, steps=steps, stop=stop):
+            steps.measure(epoch)
+            if epoch.index == stop:
+                raise KeyboardInterrupt
+
+        tree = simulate(design, watch)
+        steps.end_at(int(tree.attrs["frames_done"]))
+        budgets.append(steps.budgets(tree))
+    ended, whole = budgets
+    assert ended.keys() == whole.keys() and {"pan", "dolp"} <= whole.keys()
+    for name, one in whole.items():
+        assert ended[name].attrs["frames"] == one.attrs["frames"] == [4, 8]
+        np.testing.assert_array_equal(ended[name]["of_moving"], one["of_moving"])

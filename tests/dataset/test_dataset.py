@@ -15,6 +15,7 @@ from glintrack.case.build import build_scenario
 from glintrack.dataset import (
     BASELINES,
     TrackingSet,
+    build,
     build_dataset,
     plan_dataset,
     score_baselines,
@@ -128,7 +129,7 @@ def test_a_stopped_build_resumes_to_the_same_bytes(built, plan, three_cars, tmp_
     (again / "raw" / "three" / "000005.png").write_bytes(b"damaged")
     assert build_dataset(plan, again) == 1
     assert bytes_of(again) == whole
-    with pytest.raises(ValueError, match="same cases and version"):
+    with pytest.raises(ValueError, match="same cases, files and program"):
         build_dataset(plan_dataset([case(seed=5)], shard_frames=SHARD), again)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.txt").touch()
@@ -313,3 +314,12 @@ def test_windows_of_one_network_are_one_city():
 def test_a_wrong_plan_is_one_sentence(cases, options, message):
     with pytest.raises(ValueError, match=message):
         plan_dataset(cases, **options)
+
+
+def test_a_set_is_not_resumed_with_other_files_or_another_program(plan, built, monkeypatch, tmp_path):
+    again = tmp_path / "again"
+    shutil.copytree(built, again)
+    assert build_dataset(plan, again) == 0  # whole already
+    monkeypatch.setattr(build, "case_key", lambda case: "of another source")
+    with pytest.raises(ValueError, match="of the same cases, files and program"):
+        build_dataset(plan, again)

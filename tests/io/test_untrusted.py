@@ -167,14 +167,16 @@ def test_an_output_is_never_written_over(tmp_path):
 
 
 def test_the_second_run_into_one_folder_is_refused(tmp_path):
-    beside = tmp_path / f".out.partial-{os.getppid()}"  # of a process that lives
-    beside.mkdir()
-    with (
-        pytest.raises(ValueError, match="must not be written by another run"),
-        atomic.result_folder(tmp_path / "out"),
-    ):
-        pass
-    assert list(tmp_path.iterdir()) == [beside]
+    """Also if both have the same process number, as in two containers."""
+    path = tmp_path / "out"
+    with atomic.result_folder(path) as first:
+        (first / "a").write_text("mine")
+        with (
+            pytest.raises(ValueError, match="must not be written by another run"),
+            atomic.result_folder(path),
+        ):
+            pass
+    assert [p.name for p in path.iterdir()] == ["a"]
 
 
 def test_what_killed_runs_left_is_removed(tmp_path):
@@ -184,6 +186,19 @@ def test_what_killed_runs_left_is_removed(tmp_path):
     with pytest.raises(KeyboardInterrupt), atomic.result_folder(tmp_path / "out"):
         raise KeyboardInterrupt
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_link_to_an_empty_folder_is_written_through(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to("real")
+    with atomic.result_folder(tmp_path / "link") as folder:
+        (folder / "a").write_text("mine")
+    assert (tmp_path / "real" / "a").read_text() == "mine"
+
+
+def test_a_mount_point_is_refused_before_a_run():
+    with pytest.raises(ValueError, match=r"got /proc, a mount point"), atomic.result_folder(Path("/proc")):
+        pass
 
 
 def test_a_cache_that_cannot_be_written_costs_no_result(tmp_path):

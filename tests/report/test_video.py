@@ -64,3 +64,16 @@ def test_wrong_wishes_are_told(result, tmp_path):
     (result.path / "film" / "film.json").unlink()
     with pytest.raises(ValueError, match="must have a film"):
         Composite.of(read_result(result.path))
+
+
+@pytest.mark.parametrize(("rate_hz", "frames"), [(2.0, 6), (15.0, 60), (30.0, 60), (60.0, 60), (200.0, 61)])
+def test_a_gif_lasts_as_long_as_its_frames(tmp_path, rate_hz, frames):
+    """Its frames last whole hundredths of a second, and two at least."""
+    pictures = [np.full((4, 4, 3), 4 * k, np.uint8) for k in range(frames)]
+    write_video(tmp_path / "a.gif", pictures, rate_hz)
+    with Image.open(tmp_path / "a.gif") as gif:
+        shown_ms = []
+        for k in range(gif.n_frames):
+            gif.seek(k)
+            shown_ms.append(gif.info["duration"])
+    assert min(shown_ms) >= 20 and sum(shown_ms) == pytest.approx(1000 * frames / rate_hz, abs=20)

@@ -107,9 +107,10 @@ def test_pictures_and_film_of_an_interrupted_flight_end_with_the_last_complete_f
 
     tree = simulate(design, watch)
     assert tree.attrs["frames_done"] == 3 and recorder.colour is None
-    recorder.show_last_frame(3)
+    recorder.end_at(3)
     last_s = tree["pan"]["time"].values[-1]
     assert {name: image.attrs["time_s"] for name, image in recorder.shown.items()} == {
         "pan": last_s, "dolp": last_s
     }  # fmt: skip
     assert recorder.film.index()["frames"] == [0, 2] and recorder.colour is not None
+    assert {channel: len(found) for channel, found in recorder.found.items()} == {"pan": 3, "dolp": 3}

@@ -152,7 +152,7 @@ def test_hits_of_another_source_are_not_read(file, tmp_path, monkeypatch):
     """A file of renderer or scene that differs gives hits another address."""
     (tmp_path / file).parent.mkdir(parents=True)
     (tmp_path / file).write_text("1")
-    monkeypatch.setattr("glintrack.study.plan._PACKAGE", tmp_path)
+    monkeypatch.setattr("glintrack.case.identity._PACKAGE", tmp_path)
     before = kept._code_key.__wrapped__()
     assert kept._code_key.__wrapped__() == before
     (tmp_path / file).write_text("2")

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from glintrack.case.identity import without_paths
 from glintrack.study import read_plan
 from glintrack.study.design import Axis, Range
-from glintrack.study.plan import design_notes, without_paths
+from glintrack.study.plan import design_notes
 from tests.study.cases import TWELVE, write_study
 
 

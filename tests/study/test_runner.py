@@ -235,8 +235,8 @@ def test_a_newer_folder_is_refused(tmp_path, change, complaint):
 def test_results_of_other_source_are_never_mixed(tmp_path, monkeypatch):
     """The version stays 0.1.0 while the source is edited; what was flown before the edit stays readable."""
     _, table, folder = fly(tmp_path)
-    for module in ("plan", "folder", "run", "workers"):
-        monkeypatch.setattr(f"glintrack.study.{module}.source_key", lambda: "edited")
+    for module in ("case.identity", "study.folder", "study.run", "study.workers"):
+        monkeypatch.setattr(f"glintrack.{module}.source_key", lambda: "edited")
     with pytest.raises(ValueError, match=r"of other source of "):
         fly(tmp_path)
     pd.testing.assert_frame_equal(read_results(folder.path)[0], table)
@@ -255,7 +255,7 @@ def test_the_source_that_counts_is_what_decides_scores(tmp_path, monkeypatch):
     for name in ("cli/x.py", "study/report.py", "render/trace.py", "study/workers.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("1")
-    monkeypatch.setattr("glintrack.study.plan._PACKAGE", tmp_path)
+    monkeypatch.setattr("glintrack.case.identity._PACKAGE", tmp_path)
 
     def key():
         source_key.cache_clear()

@@ -69,6 +69,14 @@ class FlightBudget:
         if ratio is not None:
             self._likelihood_ratios.add(epoch.channel)
 
+    def end_at(self, frames: int) -> None:
+        """Keep the complete frames of an interrupted flight only."""
+        self._truths = self._truths[:frames]
+        self._scored = {channel: found[:frames] for channel, found in self._scored.items()}
+        self._tracking = {channel: found[:frames] for channel, found in self._tracking.items()}
+        if self.recorder is not None:
+            self.recorder.end_at(frames)
+
     def budgets(self, tree: xr.DataTree) -> dict[str, xr.Dataset]:
         """Loss budget of each group of elements; empty if no frame was measured or nothing moved on them.
 

@@ -20,7 +20,7 @@ from glintrack.io.tables import read_csv
 from glintrack.metrics import VISIBLE_FRACTION
 from glintrack.scene import VEHICLE_CLASSES
 
-_MOT_CAR = 3
+_MOT_CAR, _MOT_MOTORCYCLE = 3, 5
 
 
 def write_annotations(folder: Path, plan: DatasetPlan) -> dict[str, pd.DataFrame]:
@@ -114,7 +114,8 @@ def _write_mot(folder: Path, plan: DatasetPlan, name: str, boxes: pd.DataFrame) 
         )  # fmt: skip
         of = ",".join(f"{v:.2f}" for v in box)
         head = f"{int(row['frame']) + 1},{int(row['vehicle_id']) + 1}"
-        lines.append(f"{head},{of},{counts},{_MOT_CAR},{row['visible_fraction']:.3f}\n")
+        kind = _MOT_MOTORCYCLE if row["class"] == "motorcycle" else _MOT_CAR
+        lines.append(f"{head},{of},{counts},{kind},{row['visible_fraction']:.3f}\n")
     write_text(place / "gt" / "gt.txt", "".join(lines))
     write_text(
         place / "seqinfo.ini",

@@ -5,11 +5,12 @@ from pathlib import Path
 
 from glintrack.case.build import build_scenario
 from glintrack.case.design import Case
+from glintrack.case.identity import case_key
 from glintrack.core.installation import VERSION, require_extra
 from glintrack.dataset.annotations import datasheet, write_annotations
 from glintrack.dataset.plan import MAX_SHARD_FRAMES, SPLITS, DatasetPlan, Shard, city_of
 from glintrack.dataset.shards import FOLDERS, LabelledFrame, file_hash, is_done, simulate_frames, write_shard
-from glintrack.io.atomic import write_text
+from glintrack.io.atomic import content_hash, write_text
 from glintrack.io.toml import read_toml, to_toml
 
 ABOUT, SUMS = "dataset.toml", "SHA256SUMS"
@@ -65,12 +66,13 @@ def build_dataset(
 def _open_folder(folder: Path, plan: DatasetPlan) -> None:
     """Create the folder of a set, or raise ValueError if it holds another set or other files."""
     about = folder / ABOUT
+    inputs = content_hash([case_key(case) for case in plan.cases.values()], 32)
     if about.is_file():
-        found = read_toml(about, "dataset").get("key")
-        if found != plan.key:
+        found = read_toml(about, "dataset")
+        if found.get("key") != plan.key or found.get("inputs") != inputs:
             raise ValueError(
-                f"`output` must be new, or hold a set of the same cases and version; got {folder} with "
-                "another. Choose another -o."
+                "`output` must be new, or hold a set of the same cases, files and program; got "
+                f"{folder} with another. Choose another -o."
             )
         return
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -83,8 +85,8 @@ def _open_folder(folder: Path, plan: DatasetPlan) -> None:
     for name, case in plan.cases.items():
         write_text(folder / "cases" / f"{name}.toml", to_toml(case))
     of_case = {name: {"split": plan.split[name], "city": city_of(case)} for name, case in plan.cases.items()}
-    values = {"key": plan.key, "version": VERSION, "shard_frames": plan.shard_frames, "cases": of_case}
-    write_text(about, to_toml(values))
+    values = {"key": plan.key, "inputs": inputs, "version": VERSION, "shard_frames": plan.shard_frames}
+    write_text(about, to_toml(values | {"cases": of_case}))
 
 
 def read_plan(folder: str | Path, allow_outside_paths: bool = False) -> DatasetPlan:

@@ -61,11 +61,12 @@ class RawVideo:
 
     def __iter__(self) -> Iterator[VideoFrame]:
         """Read frame by frame."""
-        rate = self.plan.cases[self.name].flight.rate_hz
+        flight = self.plan.cases[self.name].flight
         for shard in self.plan.shards(self.name):
             for k in shard.frames:
                 counts = read_raw(self.folder / shard.raw(k))[None]
-                yield VideoFrame(counts, k / rate, round(k / rate * _MICROSECONDS), k)
+                time_s = flight.start_s + k / flight.rate_hz
+                yield VideoFrame(counts, time_s, round(time_s * _MICROSECONDS), k)
 
 
 class TrackingSet:

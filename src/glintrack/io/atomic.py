@@ -5,9 +5,15 @@ import glob
 import hashlib
 import os
 import shutil
+import uuid
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # not on Windows, where folders are not locked
+    fcntl = None  # type: ignore[assignment]
 
 
 def content_hash(parts: str | bytes | Iterable[str | bytes], digits: int = 64) -> str:
@@ -30,38 +36,53 @@ def result_folder(path: Path) -> Iterator[Path]:
     Raises
     ------
     ValueError
-        If the path holds something, its parent cannot be written, or another process writes it.
+        If the path holds something, its parent cannot be written, or another run writes it.
     """
+    if path.is_symlink():  # which cannot be replaced as its folder can
+        path = path.resolve()
     check_new_folder(path)
     start = f".{path.name}.partial-"
     for other in path.parent.glob(f"{glob.escape(start)}*"):
-        number = other.name.removeprefix(start)
-        if number.isdecimal() and int(number) != os.getpid() and _is_alive(int(number)):
-            raise ValueError(
-                f"`output` must not be written by another run; got {path}, which process {number} "
-                "writes. Choose another -o, or wait."
-            )
-        if number.isdecimal():  # of a process that was killed
-            shutil.rmtree(other, ignore_errors=True)
-    partial = path.with_name(f"{start}{os.getpid()}")
+        with _locked(other) as is_free:
+            if not is_free:
+                raise ValueError(
+                    f"`output` must not be written by another run; got {path}, which one writes. Choose "
+                    "another -o, or wait."
+                )
+            shutil.rmtree(other, ignore_errors=True)  # of a run that was killed
+    partial = path.with_name(f"{start}{uuid.uuid4().hex[:12]}")
     try:
         partial.mkdir(parents=True)
     except OSError as error:
         raise ValueError(f"`output` must be writable; got {path}: {error.strerror}.") from error
-    try:
-        yield partial
-        partial.rename(path)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
+    with _locked(partial):
+        try:
+            yield partial
+            partial.rename(path)
+        except BaseException:
+            shutil.rmtree(partial, ignore_errors=True)
+            raise
 
 
-def _is_alive(process: int) -> bool:
+@contextmanager
+def _locked(folder: Path) -> Iterator[bool]:
+    """Lock a folder, which the system frees when a process dies; False if another run has locked it."""
+    if fcntl is None:
+        yield False
+        return
     try:
-        os.kill(process, 0)
-    except (OSError, OverflowError) as error:
-        return isinstance(error, PermissionError)  # another user's
-    return True
+        descriptor = os.open(folder, os.O_RDONLY)
+    except FileNotFoundError:  # the other run has just ended
+        yield True
+        return
+    is_free = False
+    with suppress(OSError):  # of a file system without locks, too
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        is_free = True
+    try:
+        yield is_free
+    finally:
+        os.close(descriptor)
 
 
 def check_new_folder(path: Path) -> None:
@@ -70,8 +91,12 @@ def check_new_folder(path: Path) -> None:
     Raises
     ------
     ValueError
-        If there is a file, or a folder that is not empty.
+        If there is a file, a folder that is not empty, or a mount point.
     """
+    if os.path.ismount(path):
+        raise ValueError(
+            f"`output` must be a folder that can be created; got {path}, a mount point. Choose {path}/NAME."
+        )
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise ValueError(f"`output` must be a new or empty folder; got {path}. Choose another -o.")
 

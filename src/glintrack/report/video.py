@@ -1,6 +1,7 @@
 """Video of a flight's film with its tracks, as MP4 or GIF."""
 
 import errno
+import math
 import subprocess
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ _TAIL_S = 8.0
 _RADIUS_PX = 5
 _WIDE_PX = 480  # width of a picture with lines of one pixel
 _GIF_COLOURS = 128
+_GIF_MAX_HZ = 50.0  # browsers slow down anything faster; frames begin at whole hundredths of a second
 _MAX_PIXELS = 50e6
 
 
@@ -164,10 +166,11 @@ def write_video(path: str | Path, frames: Iterable[UInt8[Array, "y x 3"]], rate_
 
 def _write_gif(path: Path, frames: Iterable[Array], rate_hz: float) -> None:
     pictures = [Image.fromarray(f).quantize(_GIF_COLOURS, dither=Image.Dither.NONE) for f in frames]
-    shown_ms = max(20, round(1000 / rate_hz))  # browsers slow down anything faster
-    pictures[0].save(
-        path, save_all=True, append_images=pictures[1:], duration=shown_ms, loop=0, optimize=True
-    )
+    step = math.ceil(rate_hz / _GIF_MAX_HZ)
+    begins = np.round(100 / rate_hz * np.array([*range(0, len(pictures), step), len(pictures)]))
+    shown_ms = [max(20, 10 * int(one)) for one in np.diff(begins)]
+    first, *rest = pictures[::step]
+    first.save(path, save_all=True, append_images=rest, duration=shown_ms, loop=0, optimize=True)
 
 
 def _write_mp4(path: Path, frames: Iterable[Array], rate_hz: float) -> None:

@@ -74,6 +74,7 @@ class Recorder:
     areas: dict[float, Area] = field(default_factory=dict)
     _boxes: Rows = field(default_factory=Rows)
     _exposure: float | None = None
+    _written: list[tuple[int, Path]] = field(default_factory=list)
     _recent: dict[tuple[str, int], xr.Dataset] = field(default_factory=dict)
     _poses: dict[int, tuple[Pose, Pose]] = field(default_factory=dict)
 
@@ -91,6 +92,7 @@ class Recorder:
             decimals = 2 if self.case.flight.rate_hz <= 100 else 4
             path = frames_folder / f"{channel}_{image.attrs['time_s']:07.{decimals}f}s.tif"
             write_frame(path, image, city.crs, (city.origin_easting_m, city.origin_northing_m))
+            self._written.append((index, path))
 
     def record(self, epoch: Epoch) -> None:
         """Record one frame of one channel; the callback of `simulate`."""
@@ -120,8 +122,13 @@ class Recorder:
                 rgb = self._ground_colour(seen.light, seen.reported_pose)
                 self.film.add(epoch.index, epoch.time_s, epoch.image, rgb)
 
-    def show_last_frame(self, frames: int) -> None:
-        """End pictures and film of an interrupted flight with its last complete frame, traced again."""
+    def end_at(self, frames: int) -> None:
+        """Keep complete frames only, and end pictures and film with the last one, traced again."""
+        self.found = {channel: rows[:frames] for channel, rows in self.found.items()}
+        self._queries = {channel: Rows(rows.parts[:frames]) for channel, rows in self._queries.items()}
+        self._boxes = Rows(self._boxes.parts[:frames])
+        for path in [path for index, path in self._written if index >= frames]:
+            path.unlink(missing_ok=True)
         last, observer = frames - 1, self.observer
         if observer is None or last not in self._poses:
             return

@@ -32,7 +32,7 @@ from glintrack.results.epoch import Epoch, SceneView, label_mask, vehicle_boxes
 from glintrack.results.read import Result, read_result
 from glintrack.results.recorder import Recorder
 from glintrack.results.write import write_result
-from glintrack.sensor import Sensor, build_sensor, navigate
+from glintrack.sensor import Sensor, build_sensor, navigate, smear
 from glintrack.sensor import expose as expose_light
 from glintrack.track import Detector
 
@@ -83,7 +83,9 @@ def run(
 
             tree = simulate(design, measure, detectors=detectors, on_image=recorder.picture)
         if tree.attrs["interrupted"]:
-            recorder.show_last_frame(int(tree.attrs["frames_done"]))
+            frames = int(tree.attrs["frames_done"])
+            recorder.end_at(frames)
+            steps.end_at(frames)
         if budgets := steps.budgets(tree):
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in budgets.items()})
             tree = tree.assign({"bound": bound})
@@ -226,7 +228,7 @@ def expose_view(case: Case, view: FrameView) -> Exposure:
     """Expose a traced frame with the sensor of a case."""
     sensor = build_sensor(case.sensor, view.sky.wavelength_um)
     noise = frame_rngs(case.seed, view.frame).noise
-    exposed = expose_light(view.radiance, sensor, NONE_SERVED, noise, view.time_s)
+    exposed = expose_light(smear(view.radiance, view.motion), sensor, NONE_SERVED, noise, view.time_s)
     city = view.city
     pose = PlacedPose(view.pose, city.crs, (city.origin_easting_m, city.origin_northing_m))
     return Exposure(exposed, sensor.camera, pose, sensor)

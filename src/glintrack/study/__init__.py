@@ -1,9 +1,10 @@
 """Trade studies: many cases of one base, simulated anywhere, resumed after anything, and what they say."""
 
+from glintrack.case.identity import source_key
 from glintrack.study.design import StudyDesign, read_study
 from glintrack.study.folder import StudyFolder, collect_table, read_results, write_results
 from glintrack.study.hits import HitsCache
-from glintrack.study.plan import Plan, Point, build_plan, read_plan, source_key
+from glintrack.study.plan import Plan, Point, build_plan, read_plan
 from glintrack.study.report import analyse, write_report
 from glintrack.study.run import RunReport, StudyEvent, StudyPace, estimate_cpu_s, forecast, run_study
 from glintrack.study.workers import Pool, Task, attempt, dask, processes, serial, simulate_case

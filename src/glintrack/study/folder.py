@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import os
 import shutil
 from collections.abc import Iterable, Mapping
@@ -16,6 +17,7 @@ import pyarrow.parquet
 import xarray as xr
 
 from glintrack.case.design import Case
+from glintrack.case.identity import DECIDE_SCORES, source_key
 from glintrack.case.quantities import ground_view
 from glintrack.core.installation import VERSION
 from glintrack.io import atomic, netcdf
@@ -24,7 +26,7 @@ from glintrack.io.toml import to_toml
 from glintrack.io.untrusted import check_file, read_json
 from glintrack.study.comparisons import design_contrasts
 from glintrack.study.design import flat
-from glintrack.study.plan import DECIDE_SCORES, FORMAT, Plan, source_key
+from glintrack.study.plan import FORMAT, Plan
 
 try:
     import fcntl
@@ -36,7 +38,15 @@ FIRST_COLUMNS = ("point", "replicate", "case", "channel", "status")
 RESULTS = "results.parquet"
 VIEW = ("gsd_across_m", "gsd_along_m", "window_km2")
 _MAX_BYTES = 2_000_000_000
-_UNITS = {"_mbit_s": "Mbit s-1", "_per_km2": "km-2", "_km2": "km2", "_m": "m", "_db": "dB", "_deg": "degree"}
+_UNITS = {
+    "_mbit_s": "Mbit s-1",
+    "_per_km2": "km-2",
+    "_km2": "km2",
+    "_s": "s",
+    "_m": "m",
+    "_db": "dB",
+    "_deg": "degree",
+}
 
 
 class StudyFolder:
@@ -154,7 +164,7 @@ class StudyFolder:
         if case_key in self._whole:
             return self._whole[case_key]
         try:
-            outcome = read_json(folder / _SCORES, _SCORES)
+            outcome = _exchange(read_json(folder / _SCORES, _SCORES), None, math.nan)
             if all(
                 Path(name).name == name and content_hash((folder / name).read_bytes()) == digest
                 for name, digest in outcome["sha256"].items()
@@ -183,7 +193,7 @@ class StudyFolder:
         shutil.rmtree(partial, ignore_errors=True)
         try:
             partial.mkdir(parents=True)
-            for name, data in {**files, _SCORES: json.dumps(plain, indent=1).encode()}.items():
+            for name, data in {**files, _SCORES: _json(plain, indent=1).encode()}.items():
                 with (partial / name).open("wb") as file:
                     file.write(data)
                     file.flush()
@@ -211,6 +221,21 @@ class StudyFolder:
         return found[-1].read_text(encoding="utf-8").strip().splitlines()[-1] if found else None
 
 
+def _json(values: Any, **options: Any) -> str:
+    """JSON with null for numbers that are not finite."""
+    return json.dumps(_exchange(values, math.nan, None), allow_nan=False, **options)
+
+
+def _exchange(values: Any, old: float | None, new: float | None) -> Any:
+    """Values of nested tables and lists with None for numbers that are not finite, or the other way."""
+    if isinstance(values, dict):
+        return {key: _exchange(value, old, new) for key, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [_exchange(value, old, new) for value in values]
+    is_old = values is None if old is None else isinstance(values, float) and not math.isfinite(values)
+    return new if is_old else values
+
+
 def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
     """Levels and scores of every point and channel, in the design's order.
 
@@ -230,7 +255,7 @@ def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
             (across_m, along_m), (width_m, depth_m) = ground_view(case)
             row |= dict(zip(VIEW, (across_m, along_m, 1e-6 * width_m * depth_m), strict=True))
             scores = dict(found["scores"].get(channel, {})) if found else {}
-            row["over_time"] = json.dumps(scores.pop("over_time", {}), sort_keys=True)
+            row["over_time"] = _json(scores.pop("over_time", {}), sort_keys=True)
             rows.append(row | scores)
     table = pd.DataFrame(rows)
     axes = list(dict.fromkeys(name for point in plan.points for name in point.levels))
@@ -341,7 +366,9 @@ def to_dataset(table: pd.DataFrame, source: Mapping[str, Any]) -> xr.Dataset:
     scores = [c for c in table if c not in {*FIRST_COLUMNS, *axes, "over_time"}]
     out = table.set_index(["point", "channel"])[scores].astype(float).to_xarray()
     for name in scores:
-        units = (unit for ending, unit in _UNITS.items() if str(name).endswith(ending))
+        units = (
+            unit for ending, unit in _UNITS.items() if str(name).removesuffix("_at_once").endswith(ending)
+        )
         out[name].attrs["units"] = next(units, "1")
     first = table.drop_duplicates("point").set_index("point").loc[out["point"].values]
     for name in ("replicate", "case", *axes):

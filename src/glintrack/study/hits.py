@@ -18,12 +18,12 @@ from numcodecs import Blosc
 from glintrack.camera import Camera, Pose
 from glintrack.case.build import decides_hits
 from glintrack.case.design import Case
+from glintrack.case.identity import digest, without_paths
 from glintrack.core.arrays import Array
 from glintrack.core.distortion import Distortion
 from glintrack.flight import FlightDesign
 from glintrack.io import cache
 from glintrack.render import Hits, TracedFrame, frame_rays
-from glintrack.study.plan import digest, without_paths
 
 # of a frame of the quickstart: 33 MB for 493 000 elements, 68 at 3 × 3 rays
 _BYTES_PER_ELEMENT, _GROWTH = 67.0, 0.33

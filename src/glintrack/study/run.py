@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from glintrack.case.design import Case
+from glintrack.case.identity import source_key
 from glintrack.case.quantities import estimate_cpu_s
 from glintrack.core.units import format_duration
 from glintrack.study.folder import StudyFolder
 from glintrack.study.hits import HitsCache, entry_size_bytes, frame_times, geometry
-from glintrack.study.plan import Plan, source_key
+from glintrack.study.plan import Plan
 from glintrack.study.workers import Pool, Simulate, Task, attempt, is_worker_loss, simulate_case
 
 _POLL_S = 1.0  # interval at which interrupts and workers are checked

@@ -24,13 +24,13 @@ import xarray as xr
 
 from glintrack.bounds.run import FlightBudget
 from glintrack.case.design import Case
+from glintrack.case.identity import source_key
 from glintrack.case.quantities import data_rate_mbit_s, machine_memory_bytes
 from glintrack.core.installation import require_extra
 from glintrack.io import netcdf
 from glintrack.io.toml import to_toml
 from glintrack.loop import simulate
 from glintrack.study.hits import HitsCache, geometry
-from glintrack.study.plan import source_key
 
 try:
     import resource

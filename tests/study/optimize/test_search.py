@@ -1,11 +1,14 @@
 """The search on stored grids whose answer is known, and the Gaussian process against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
-from glintrack.study.optimize import find_cheapest
+from glintrack.metrics.requirement import read_requirement
+from glintrack.study.optimize import Problem, find_cheapest
 from glintrack.study.optimize.surrogate import fit_gaussian_process, matern
 from tests.study.optimize.cameras import Grid
 
@@ -97,3 +100,25 @@ def test_a_score_that_no_simulation_has_is_named():
     stored = grid(1)
     with pytest.raises(ValueError, match="`require` must name scores of the simulations; got custody"):
         find_cheapest(stored.problem(), lambda *where: stored.simulate(*where) * [np.nan, 1])
+
+
+def test_designs_that_lack_a_score_are_neither_found_nor_confirmed():
+    """As designs that track nothing lack the identity of their tracks, and have no false ones."""
+    rng = np.random.default_rng(1)
+    place = rng.permutation((np.arange(64) + 0.5) / 64)
+    needed = [read_requirement("same_track_after_10s>=0.8"), read_requirement("false_per_km2<=20")]
+    problem = Problem(
+        places=place[:, None],
+        cost=100 * place,
+        requirements=tuple(replace(one, channel="pan") for one in needed),
+        simulations=60,
+    )
+
+    def simulate(designs, cities, fidelity):
+        scores = np.full((len(designs), len(cities), 2), [np.nan, 0.0])
+        seen = place[list(designs)] > 0.3
+        scores[seen] = [0.9, 10] + rng.normal(0, [0.01, 1], (seen.sum(), len(cities), 2))
+        return scores
+
+    found = find_cheapest(problem, simulate)
+    assert found.answer == "yes" and 0.3 < place[found.design] < 0.5

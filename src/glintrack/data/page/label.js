@@ -6,7 +6,7 @@
   const { times_s, extent_m, pictures, columns } = JSON.parse(byId("data").textContent);
   const [west, south, east, north] = extent_m, shape = (north - south) / (east - west);
   const canvas = byId("canvas"), slider = byId("frame"), play = byId("play"), choice = byId("vehicle");
-  const vehicles = new Map(); // id: Map of frame to [x, y], shares of the picture
+  const vehicles = new Map(); // id: Map of frame to [x, y, asked], shares of the picture
   let timer = null, chosen = 1, changed = false;
   const images = pictures.map((text) => {
     const image = new Image();
@@ -94,8 +94,8 @@
   function text() {
     const lines = [];
     for (const [ident, rows] of vehicles)
-      for (const [k, [x, y]] of rows)
-        lines.push([times_s[k], ident, (west + x * (east - west)).toFixed(DECIMALS), (north - y * (north - south)).toFixed(DECIMALS), k, 1]);
+      for (const [k, [x, y, asked = 1]] of rows)
+        lines.push([times_s[k], ident, (west + x * (east - west)).toFixed(DECIMALS), (north - y * (north - south)).toFixed(DECIMALS), k, asked]);
     lines.sort((a, b) => a[4] - b[4] || a[1] - b[1]);
     return [columns, ...lines].map((line) => line.join(",") + "\n").join("");
   }
@@ -106,9 +106,9 @@
     const wrong = rows.find((row) => row.length !== columns.length || !row.every(Number.isFinite) || times_s[row[4]] !== row[0]);
     if (wrong) return say("The file must have labels of these frames: a row has another time or no number.");
     vehicles.clear();
-    for (const [, ident, x, y, k] of rows) {
+    for (const [, ident, x, y, k, asked] of rows) {
       if (!vehicles.has(ident)) vehicles.set(ident, new Map());
-      vehicles.get(ident).set(k, [(x - west) / (east - west), (north - y) / (north - south)]);
+      vehicles.get(ident).set(k, [(x - west) / (east - west), (north - y) / (north - south), asked]);
     }
     choose(rows.length ? rows[0][1] : 1);
     say(`${rows.length} labels were read.`);

@@ -118,6 +118,9 @@ def write_result(folder: Path, result: OptimizationResult) -> None:
         figure = _draw_front(front, result)
         images.write_figure(folder / "report" / "front.png", figure, dpi=200)
         images.write_figure(folder / "report" / "front.pdf", figure)
+    else:
+        for ending in ("png", "pdf"):
+            (folder / "report" / f"front.{ending}").unlink(missing_ok=True)
 
 
 def read_result(folder: Path) -> OptimizationResult | None:

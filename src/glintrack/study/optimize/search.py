@@ -115,6 +115,11 @@ class Observations:
             scores=flat if not len(self.scores) else np.concatenate([self.scores, flat]),
         )
 
+    def has_scores(self, design: int, cities: Sequence[int]) -> bool:
+        """Return True if at least half of a design's simulations in some cities have each score."""
+        own = (self.design == design) & np.isin(self.city, cities)
+        return bool((np.isfinite(self.scores[own]).mean(axis=0) >= 0.5).all())
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -193,7 +198,12 @@ def _confirm(problem: Problem, state: "_State") -> Outcome:
         confirmed[design], first = cities, first + problem.confirming_cities
         state.run([design], cities, 0)
         now = state.outcome()
-        passed = [design for design in confirmed if now.feasibility[design] >= problem.sure_probability]
+        passed = [
+            design
+            for design, own in confirmed.items()
+            if now.feasibility[design] >= problem.sure_probability
+            and now.observations.has_scores(design, own)
+        ]
     if not passed:
         return replace(now, confirming=confirmed.get(now.design, ()))
     cheapest = min(passed, key=lambda design: problem.cost[design])
@@ -305,7 +315,7 @@ class _State:
         """Fit all scores, and name the cheapest promising design."""
         problem, seen = self.problem, self.observations
         durations = np.array(problem.durations_s)[-1 - seen.fidelity]
-        processes = []
+        processes, blind = [], set[int]()
         for k, requirement in enumerate(problem.requirements):
             scores = transform(requirement, seen.scores[:, k])
             there = np.isfinite(scores)
@@ -314,11 +324,20 @@ class _State:
                     f"`require` must name scores of the simulations; got {requirement} with "
                     f"{there.sum()} of {len(there)} simulations that have it."
                 )
+            # lacking a score everywhere, or where others have it, is missing the limit: nothing was tracked
+            nowhere = ~np.isin(seen.design, seen.design[there])
+            lacks = ~there & (nowhere | np.isin(seen.city, seen.city[there]))
+            blind |= set(seen.design[nowhere].tolist())
+            sign = 1 if requirement.at_least else -1
+            beyond = transform(requirement, requirement.limit) - 3 * sign * scores[there].std()
+            scores[lacks] = sign * min(sign * beyond, (sign * scores[there]).min())
+            there = there | lacks
             at = problem.places[seen.design[there]]
             halvings = np.log2(problem.durations_s[-1] / durations[there])
             process = fit_gaussian_process(at, seen.city[there], halvings, scores[there])
             processes.append(process if requirement.score in SHARES else _mean_of_logarithms(process))
         probable = feasibility(problem.requirements, processes, problem.places).prod(axis=1)
+        probable[list(blind)] = 0.0
         promising = probable >= problem.sure_probability
         if promising.any():
             design = int(np.where(promising, problem.cost, math.inf).argmin())
