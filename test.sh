@@ -13,7 +13,7 @@ $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-reco
 python3 -m venv .venv
 .venv/bin/pip install --no-compile --require-hashes -r requirements.lock
 .venv/bin/pip install --no-deps -e .
-# each process of the tests would compile its imports again if the first could not keep them
+# keep compiled imports: the tests start many processes
 unset PYTHONDONTWRITEBYTECODE
 # two processes share the processors: one thread each for matrices and trees, and no busy waiting
 OMP_NUM_THREADS=1 OMP_WAIT_POLICY=passive .venv/bin/python -m pytest -n 2 --dist worksteal "$@"

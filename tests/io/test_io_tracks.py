@@ -370,3 +370,10 @@ def test_motchallenge_text_called_csv_is_recognized(tmp_path):
         read_tracks(tmp_path / "t.csv")
     (tmp_path / "t.txt").write_text("")
     assert read_tracks(tmp_path / "t.txt", 5.0).sizes["row"] == 0
+
+
+def test_flags_of_another_layout_are_refused(tmp_path):
+    """Out of view of 1 to 3, occlusion, category: every car would be dropped or counted by its occlusion."""
+    (tmp_path / "gt.txt").write_text("1,1,11,21,10,20,1,1,1\n2,1,12,21,10,20,2,3,1\n")
+    with pytest.raises(ValueError, match="must have a flag of 0 or 1"):
+        read_truth(tmp_path / "gt.txt", 30.0, Geotransform(1000, 2000, 0.5))

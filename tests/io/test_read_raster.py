@@ -198,3 +198,17 @@ def test_a_scaled_stack(tmp_path):
     plain = next(open_frames(write_stack(tmp_path / "a.nc", range(3))).frames)[1]
     scaled = next(open_frames(write_stack(tmp_path / "b.nc", range(3), **packed)).frames)[1]
     np.testing.assert_allclose(scaled["pan"], plain["pan"], atol=0.25)
+
+
+def test_no_data_of_one_band_stays_in_that_band(tmp_path):
+    """Bands of a push-broom sensor end in different rows; pan of a pixel that lacks one is unknown."""
+    bands = np.full((4, 8, 8), 500, np.int16)
+    for k in range(4):
+        bands[k, : k + 1] = -9999
+    with rasterio.open(
+        tmp_path / "a.tif", "w", driver="GTiff", width=8, height=8, count=4, dtype="int16", nodata=-9999
+    ) as file:
+        file.write(bands)
+    found = read_raster(tmp_path / "a.tif", "frames").bands
+    assert np.isfinite(found[:, :, 0]).sum(axis=1).tolist() == [7, 6, 5, 4]
+    assert np.nanmin(found) == 500

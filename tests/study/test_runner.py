@@ -2,6 +2,7 @@
 
 import errno
 import json
+import math
 import multiprocessing
 import os
 import signal
@@ -14,6 +15,7 @@ import pytest
 import xarray as xr
 
 from glintrack.case.design import Case
+from glintrack.case.identity import source_key
 from glintrack.case.packaged import find_case
 from glintrack.study import (
     StudyFolder,
@@ -26,7 +28,6 @@ from glintrack.study import (
     read_results,
     run_study,
     serial,
-    source_key,
     write_results,
 )
 from tests.study.cases import KILLS, KILLS_ONCE, RAISES, SLOW, TWELVE, cheap, flown, write_study
@@ -395,3 +396,16 @@ def test_an_interrupt_keeps_what_is_finished(tmp_path):
     report, table, _ = fly(tmp_path, fly_one=stopped)
     assert report.interrupted and report.finished == 3
     assert sum(table["status"] == "finished") == 6
+
+
+def test_a_score_that_does_not_exist_is_null_in_json_and_nan_in_the_table(tmp_path):
+    def blind(case, task):
+        found = cheap(case, task)
+        found["scores"]["pan"] |= {"purity": math.nan, "over_time": {"purity": [0.5, math.nan]}}
+        return found
+
+    _, table, folder = fly(tmp_path, fly_one=blind)
+    paths = list((folder.path / "cases").glob("*/scores.json"))
+    texts = [path.read_text() for path in paths] + table["over_time"].tolist()
+    assert len(paths) == 12 and not any("NaN" in text for text in texts)
+    assert (table["purity"].isna() == (table["channel"] == "pan")).all()

@@ -46,8 +46,8 @@ def result_folder(path: Path) -> Iterator[Path]:
         with _locked(other) as is_free:
             if not is_free:
                 raise ValueError(
-                    f"`output` must not be written by another run; got {path}, which one writes. Choose "
-                    "another -o, or wait."
+                    f"`output` must not be written by another run; got {path} with {other.name} beside it. "
+                    "Choose another -o, wait, or remove that folder if nothing runs."
                 )
             shutil.rmtree(other, ignore_errors=True)  # of a run that was killed
     partial = path.with_name(f"{start}{uuid.uuid4().hex[:12]}")
@@ -72,8 +72,8 @@ def _locked(folder: Path) -> Iterator[bool]:
         return
     try:
         descriptor = os.open(folder, os.O_RDONLY)
-    except FileNotFoundError:  # the other run has just ended
-        yield True
+    except OSError as error:
+        yield isinstance(error, FileNotFoundError)  # the other run has just ended; else it is not ours
         return
     is_free = False
     with suppress(OSError):  # of a file system without locks, too

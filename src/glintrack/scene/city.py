@@ -27,7 +27,7 @@ from glintrack.scene.sources.embedded import procedural_site
 from glintrack.scene.sources.site import (
     VEHICLE_MARGIN_M,
     Site,
-    height_of_zero,
+    mesh_datum_m,
     mesh_site,
     mesh_terrain,
     resolve_file,
@@ -316,9 +316,9 @@ def _terrain(design: SceneDesign, site: Site) -> tuple[xr.Dataset, float]:
         terrain, origin_height_m = read_dem(resolve_file(design.dem_file), bounds, site.place.crs, origin)
         if site.mesh is None:
             return terrain, origin_height_m
-        zero_m = height_of_zero(site.mesh, terrain, origin_height_m)
-        height = terrain["height"] + (origin_height_m - zero_m)
-        return terrain.assign(height=height.assign_attrs(terrain["height"].attrs)), zero_m
+        datum_m = mesh_datum_m(site.mesh, terrain, origin_height_m)
+        height = terrain["height"] + (origin_height_m - datum_m)
+        return terrain.assign(height=height.assign_attrs(terrain["height"].attrs)), datum_m
     if design.hills_m:
         rng = np.random.default_rng((design.seed, _RELIEF_KEY))
         return rolling_terrain(bounds, design.hills_m, rng), 0.0

@@ -173,7 +173,7 @@ def label_frame(
 
 MAX_MEAN_WELLS = 10.0  # full wells: elements are full for certain above that
 BLOCK_ROWS = 32
-_MAX_MEAN_E = 1e18  # of NumPy's Poisson deviates
+MAX_MEAN_E = 1e18  # of NumPy's Poisson deviates
 
 
 def read_out(
@@ -233,7 +233,7 @@ def _counts_e(light_e: Array, sensor: Sensor, rows: slice, rng: np.random.Genera
     """Electrons of the counts of a block of rows."""
     design, pattern = sensor.design, sensor.pattern
     offset_e, full_well_e = pattern.offset_e[rows], design.full_well_e
-    most_e = min(MAX_MEAN_WELLS * full_well_e, _MAX_MEAN_E)
+    most_e = min(MAX_MEAN_WELLS * full_well_e, MAX_MEAN_E)
     expected_e = light_e * pattern.gain[rows] + np.maximum(offset_e, 0)
     electrons = rng.poisson(np.clip(expected_e, 0, most_e)) + np.minimum(offset_e, 0.0)
     electrons = np.minimum(electrons, full_well_e)

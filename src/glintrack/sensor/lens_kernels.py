@@ -119,7 +119,7 @@ def through_lens(
     kernels
         One for each plane.
     stride, window
-        Cells along an element, and the weight of each in its light, or of more on both sides (sums to 1).
+        Cells along an element, and the weights in its light of these or of more cells about their middle.
 
     Returns
     -------

@@ -143,7 +143,7 @@ def image_motion(
     ground_m
         Height of the ground on the optical axis. [m]
     samples
-        Number of instants, evenly over the exposure, at least; with as many as two per element of the path.
+        Least number of instants, evenly over the exposure; a long path gets two per element.
 
     Returns
     -------

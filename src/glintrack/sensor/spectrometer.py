@@ -16,9 +16,9 @@ from glintrack.core.arrays import Array
 from glintrack.core.records import Radiance, ServedQueries, SpectralQuery
 from glintrack.core.schema import RADIANCE, check
 from glintrack.devices import etalon
+from glintrack.sensor.exposure import MAX_MEAN_E
 from glintrack.sensor.sensor import Sensor
 
-MAX_BAND_E = 1e18  # of NumPy's Poisson deviates; a band's electrons are the sum of as many reads as they need
 SPREAD_ELEMENTS = 2  # of the point spread to either side that contribute to a spectrum
 
 
@@ -59,7 +59,7 @@ def serve(queries: tuple[SpectralQuery, ...], sensor: Sensor, reported_pose: Pos
 def measure_spectra(
     served: ServedQueries, radiance: Radiance, sensor: Sensor, rng: np.random.Generator
 ) -> xr.Dataset:
-    """Spectra of the served queries, with shot noise, read noise, and that of the dark current.
+    """Spectra of the served queries, with the noise of light, dark current and readout; bands never saturate.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def measure_spectra(
         gain = sensor.band_electrons_per_radiance
         expected_e = light * gain if sweep is None else light @ sweep.T
         dark_e = 1e-3 * sensor.design.dark_current_e_per_s * sensor.design.spectrometer_integration_time_ms
-        collected_e = rng.poisson(np.clip(expected_e + dark_e, 0, MAX_BAND_E))
+        collected_e = rng.poisson(np.clip(expected_e + dark_e, 0, MAX_MEAN_E))
         electrons = collected_e - dark_e + read_e * rng.standard_normal(expected_e.shape)
         if sweep is None:
             spectrum[on] = electrons / gain

@@ -1,6 +1,5 @@
 """Trade studies: many cases of one base, simulated anywhere, resumed after anything, and what they say."""
 
-from glintrack.case.identity import source_key
 from glintrack.study.design import StudyDesign, read_study
 from glintrack.study.folder import StudyFolder, collect_table, read_results, write_results
 from glintrack.study.hits import HitsCache
@@ -13,5 +12,5 @@ __all__ = [
     "HitsCache", "Plan", "Point", "Pool", "RunReport", "StudyDesign", "StudyEvent", "StudyFolder",
     "StudyPace", "Task", "analyse", "attempt", "build_plan", "collect_table", "dask", "estimate_cpu_s",
     "forecast", "processes", "read_plan", "read_results", "read_study", "run_study", "serial",
-    "simulate_case", "source_key", "write_report", "write_results",
+    "simulate_case", "write_report", "write_results",
 ]  # fmt: skip

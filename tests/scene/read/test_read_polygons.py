@@ -149,5 +149,6 @@ def test_coasts_and_rivers_without_an_outline_are_counted(tmp_path):
             tmp_path,
             polygon("a", 0, 0, 10, kind="natural.coastline"),
             polygon("b", 20, 0, 10, kind="waterway.river"),
+            polygon("c", 40, 0, 10, kind="natural.water", waterway="canal"),
         )
-    assert (readings[0].found, readings[0].used) == (2, 0)
+    assert (readings[0].found, readings[0].used) == (3, 1)

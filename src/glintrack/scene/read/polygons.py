@@ -149,10 +149,6 @@ def area_parts(shape: BaseGeometry) -> list[Polygon]:
 def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
     """Kind of an area by OpenStreetMap's tags, None if it is none, and why it is left out."""
     building = tags.get("building", "no")
-    if "building" not in tags and tags.get("natural") == "coastline":
-        return "water", "coastlines: the sea is not drawn"
-    if "building" not in tags and tags.get("waterway") in ("river", "canal"):
-        return "water", "rivers and canals without an outline"
     if any(f"{state}:building" in tags for state in _GONE) and building == "no":
         return "building", "demolished or proposed"
     if tags.get("building:part", "no") != "no" and building == "no":
@@ -163,6 +159,10 @@ def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
         kind = next(
             (k for k, keys in _GROUNDS.items() if any(tags.get(key) in keys[key] for key in keys)), None
         )
+    if kind is None and tags.get("natural") == "coastline":
+        return "water", "coastlines: the sea is not drawn"
+    if kind is None and tags.get("waterway") in ("river", "canal"):
+        return "water", "rivers and canals without an outline"
     if kind is None:
         return None, ""
     if kind == "building" and building == "no":
@@ -178,9 +178,9 @@ def area_kind(tags: Mapping[str, str]) -> tuple[str | None, str]:
 
 
 def height_of(tags: Mapping[str, str]) -> tuple[float | None, bool]:
-    """Height of a building by its own tag, else of its walls by its storeys, and True for walls; or None. [m]
+    """Height of a building, None if unknown, and whether it is that of its walls only. [m]
 
-    OpenStreetMap's ``height`` reaches to the top of the roof; ``building:levels`` leaves that out.
+    OpenStreetMap's ``height`` includes the roof. ``building:levels``, used without it, does not.
     """
     given = tags.get("height") or tags.get("est_height", "")
     heights = [_length(text.strip()) for text in given.split(";")]

@@ -224,7 +224,7 @@ def buildings_by_rule(
 
 
 def _lower_walls(building: Building) -> Building:
-    """Put the top of the roof where the walls ended; the roof is flat if they would be below a storey."""
+    """Lower walls by the rise of the roof, which is flat if they would be lower than a storey."""
     eaves_m = building.eaves_m - rise_m(building)
     if eaves_m < _LOWEST_EAVES_M and building.roof != "flat":
         building = replace(building, roof="flat", roof_material="roof_bitumen")

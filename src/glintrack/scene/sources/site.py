@@ -36,7 +36,7 @@ class SceneOrigin:
     northing_m: float
 
     def __post_init__(self):
-        """Refuse a CRS that PROJ does not know, and a position that is not on the Earth."""
+        """Refuse a CRS that PROJ does not know or that does not count metres, and a place off the Earth."""
         try:
             longitude, latitude = self.longitude_latitude_deg
         except (CRSError, ProjError) as error:
@@ -45,6 +45,7 @@ class SceneOrigin:
             raise ValueError(
                 f"`scene.crs` must reach ({self.easting_m:g}, {self.northing_m:g}); got {self.crs!r}."
             )
+        longitude_latitude(self.crs, np.array([self.easting_m]), np.array([self.northing_m]))
 
     def project(
         self, longitude_deg: Array, latitude_deg: Array, origin_m: tuple[float, float] = (0.0, 0.0)
@@ -108,13 +109,7 @@ def given_place(design: SceneDesign) -> SceneOrigin | None:
     """Position of a city by its keys ``crs`` and ``origin_m``, if it has them."""
     if design.crs is None or design.origin_m is None:
         return None
-    return _metric_place(design.crs, *design.origin_m)
-
-
-def _metric_place(crs: str, easting_m: float, northing_m: float) -> SceneOrigin:
-    """Return a position, or raise ValueError if its CRS does not count metres of the ground there."""
-    longitude_latitude(crs, np.array([easting_m]), np.array([northing_m]))
-    return SceneOrigin(crs, easting_m, northing_m)
+    return SceneOrigin(design.crs, *design.origin_m)
 
 
 def place_of(
@@ -141,10 +136,10 @@ def place_of(
         raise ValueError(
             f"`net_file` must have a projection that PROJ knows; got {location.projection!r}."
         ) from error
-    code = crs.to_epsg(min_confidence=70)  # PROJ is 25 % confident that another origin or scale is the same
+    code = crs.to_epsg()
     known = f"EPSG:{code}" if code else location.projection
     east, north = (centre_m[i] - location.offset_m[i] for i in range(2))
-    return _metric_place(known, east, north), ()
+    return SceneOrigin(known, east, north), ()
 
 
 def read_traffic(
@@ -210,32 +205,32 @@ def mesh_site(design: SceneDesign) -> Site:
     return Site(recording, place, extent, mesh=mesh, assumptions=said + more)
 
 
-def height_of_zero(mesh: NamedMesh, terrain: xr.Dataset, origin_height_m: float) -> float:
-    """Height of the zero of a mesh's heights in those of an elevation model: 0, or the one of its origin. [m]
+def mesh_datum_m(mesh: NamedMesh, terrain: xr.Dataset, origin_height_m: float) -> float:
+    """Height in an elevation model from which a mesh counts: 0, or that of the ground at ENU (0, 0). [m]
 
     Parameters
     ----------
     mesh
-        Mesh in ENU, its heights relative to the ground at ENU (0, 0) or those of the elevation model.
+        Mesh in ENU.
     terrain, origin_height_m
-        Heights relative to the ground at ENU (0, 0), and that point's height in the elevation model. [m]
+        Heights of the elevation model above its ground at ENU (0, 0), and the height of that ground. [m]
 
     Raises
     ------
     ValueError
-        If the mesh's ground lies higher or lower than both by more than 1 m in the median.
+        If the mesh's ground fits neither to 1 m in the median.
     """
     above_m = ground_under(mesh, terrain["x"].values, terrain["y"].values) - terrain["height"].values
     if not np.isfinite(above_m).any():
         return origin_height_m
     median_m = float(np.nanmedian(above_m))
-    away_m, zero_m = min((abs(median_m), origin_height_m), (abs(median_m - origin_height_m), 0.0))
+    away_m, datum_m = min((abs(median_m), origin_height_m), (abs(median_m - origin_height_m), 0.0))
     if away_m <= _MAX_ABOVE_M:
-        return zero_m
+        return datum_m
     raise ValueError(
-        f"`scene.mesh_file` must have its ground at the heights of `scene.dem_file`, or at these less "
-        f"{origin_height_m:.1f} m, the height of its origin; got {median_m + origin_height_m:+.1f} and "
-        f"{median_m:+.1f} m above them. Move the mesh, or leave dem_file out: the mesh's own ground is taken."
+        f"`scene.mesh_file` must have its ground at the heights of `scene.dem_file`, or at heights above "
+        f"the origin; got {median_m - origin_height_m:+.1f} m and {median_m:+.1f} m from them. Move the "
+        "mesh, or leave dem_file out: then the mesh's own ground is taken."
     )
 
 
